@@ -1,0 +1,67 @@
+"""Focal length, principal point and lens distortion of a camera."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchrefrac.camera.distortion import distort, undistort
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Pinhole with Brown-Conrady distortion. Pixels: the centre of the top-left pixel is (0.5, 0.5).
+
+    focal (*B, 2) and principal_point (*B, 2) in pixels, distortion (*B, 5) as k1, k2, p1, p2, k3;
+    width and height in pixels.
+    """
+
+    width: int
+    height: int
+    focal: Tensor
+    principal_point: Tensor
+    distortion: Tensor
+
+    @classmethod
+    def create(
+        cls,
+        width: int,
+        height: int,
+        focal: float | Sequence[float],
+        principal_point: Sequence[float] | None = None,
+        distortion: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
+        dtype: torch.dtype = torch.float64,
+    ) -> "Intrinsics":
+        """From plain numbers; one focal length serves both axes, the principal point is by default the middle."""
+        both = (focal, focal) if isinstance(focal, int | float) else focal
+        middle = (width / 2, height / 2) if principal_point is None else principal_point
+        return cls(
+            width,
+            height,
+            torch.tensor(both, dtype=dtype),
+            torch.tensor(middle, dtype=dtype),
+            torch.tensor(distortion, dtype=dtype),
+        )
+
+    def pixels_from_plane(self, xy: Tensor) -> Tensor:
+        """Pixels (*B, 2) of ideal image-plane coordinates x/z, y/z (*B, 2)."""
+        return distort(xy, self.distortion) * self.focal + self.principal_point
+
+    def plane_from_pixels(self, pixels: Tensor) -> Tensor:
+        """Ideal image-plane coordinates (*B, 2) of pixels (*B, 2): the distortion is undone."""
+        return undistort((pixels - self.principal_point) / self.focal, self.distortion)
+
+    def contains(self, pixels: Tensor) -> Tensor:
+        """Mask (*B) of pixels inside the image."""
+        size = pixels.new_tensor((self.width, self.height))
+        return ((pixels >= 0) & (pixels <= size)).all(dim=-1)
+
+    def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "Intrinsics":
+        """The same in another dtype or on another device."""
+        return replace(
+            self,
+            focal=self.focal.to(dtype=dtype, device=device),
+            principal_point=self.principal_point.to(dtype=dtype, device=device),
+            distortion=self.distortion.to(dtype=dtype, device=device),
+        )

@@ -1,0 +1,57 @@
+"""Rotation matrices and their exponential coordinates."""
+
+import torch
+from torch import Tensor
+
+
+def skew(v: Tensor) -> Tensor:
+    """The matrix [v]x (*B, 3, 3) with [v]x w = v x w."""
+    x, y, z = v.unbind(dim=-1)
+    zero = torch.zeros_like(x)
+    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).reshape(*v.shape, 3)
+
+
+def rotate(rotation: Tensor, v: Tensor) -> Tensor:
+    """Matrix times vector over broadcast batches: (*B, 3, 3), (*B, 3) -> (*B, 3)."""
+    return (rotation @ v[..., None])[..., 0]
+
+
+def so3_exp(omega: Tensor) -> Tensor:
+    """Rotation by |omega| radians about omega (Rodrigues): (*B, 3) -> (*B, 3, 3), smooth at zero."""
+    angle_sq = omega.square().sum(dim=-1)
+    small = angle_sq < 1e-8
+    safe = torch.where(small, torch.ones_like(angle_sq), angle_sq)
+    angle = safe.sqrt()
+    a = torch.where(small, 1.0 - angle_sq / 6.0, angle.sin() / angle)[..., None, None]
+    b = torch.where(small, 0.5 - angle_sq / 24.0, (1.0 - angle.cos()) / safe)[..., None, None]
+    cross = skew(omega)
+    identity = torch.eye(3, dtype=omega.dtype, device=omega.device)
+    return identity + a * cross + b * (cross @ cross)
+
+
+def so3_log(rotation: Tensor) -> Tensor:
+    """Rotation vector of angle in [0, pi] (radians): (*B, 3, 3) -> (*B, 3).
+
+    Goes through the unit quaternion of the largest component, so it is accurate near zero and near pi.
+    """
+    w_xyz = _quaternion(rotation)
+    w_xyz = torch.where(w_xyz[..., :1] < 0.0, -w_xyz, w_xyz)
+    w, xyz = w_xyz[..., :1], w_xyz[..., 1:]
+    sine = xyz.norm(dim=-1, keepdim=True)
+    tiny = sine < 1e-12
+    scale = torch.where(tiny, 2.0, 2.0 * torch.atan2(sine, w) / torch.where(tiny, 1.0, sine))
+    return scale * xyz
+
+
+def _quaternion(rotation: Tensor) -> Tensor:
+    """Unit quaternion wxyz (*B, 4), read off the row of q q^T with the largest diagonal."""
+    r = rotation
+    trace = r[..., 0, 0] + r[..., 1, 1] + r[..., 2, 2]
+    xx, yy, zz = (1.0 + 2.0 * r[..., i, i] - trace for i in range(3))
+    wx, wy, wz = r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]
+    xy, xz, yz = r[..., 0, 1] + r[..., 1, 0], r[..., 0, 2] + r[..., 2, 0], r[..., 1, 2] + r[..., 2, 1]
+    entries = (1.0 + trace, wx, wy, wz, wx, xx, xy, xz, wy, xy, yy, yz, wz, xz, yz, zz)
+    outer = torch.stack(entries, dim=-1).reshape(*trace.shape, 4, 4)
+    best = outer.diagonal(dim1=-2, dim2=-1).argmax(dim=-1)
+    row = outer.gather(-2, best[..., None, None].expand(*best.shape, 1, 4))[..., 0, :]
+    return row / row.norm(dim=-1, keepdim=True)

@@ -1,0 +1,9 @@
+"""Sums over groups of rows."""
+
+from torch import Tensor
+
+
+def segment_sum(values: Tensor, segment: Tensor, num_segments: int) -> Tensor:
+    """Sum the rows of `values` (N, *F) that carry the same id in `segment` (N,): (num_segments, *F)."""
+    total = values.new_zeros(num_segments, *values.shape[1:])
+    return total.index_add_(0, segment, values)
