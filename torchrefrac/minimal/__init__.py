@@ -1,0 +1,18 @@
+"""Pose and triangulation solvers: batched pure functions that return candidates and which of them are valid.
+
+Pose solvers take rays in the gravity-aligned ("level") frame: v = level_from_cam K^-1 u, z up, so v_z < 0 for a ray
+that goes down to the water. See `torchrefrac.geometry.level_rotation`.
+"""
+
+from torchrefrac.minimal.absolute_pose import absolute_pose_2pt, absolute_pose_lsqi
+from torchrefrac.minimal.relative_pose import relative_pose_7pt, relative_pose_npt
+from torchrefrac.minimal.triangulation import triangulate, triangulation_angle
+
+__all__ = [
+    "absolute_pose_2pt",
+    "absolute_pose_lsqi",
+    "relative_pose_7pt",
+    "relative_pose_npt",
+    "triangulate",
+    "triangulation_angle",
+]
