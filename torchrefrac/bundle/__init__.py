@@ -1,0 +1,6 @@
+"""Bundle adjustment: the bridge between scenes and the optimiser. What varies, the priors, the gauge."""
+
+from torchrefrac.bundle.adjust import BundleOptions, BundleReport, adjust, adjust_pose
+from torchrefrac.bundle.problem import BundleProblem, BundleState
+
+__all__ = ["BundleOptions", "BundleProblem", "BundleReport", "BundleState", "adjust", "adjust_pose"]

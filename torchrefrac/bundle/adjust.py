@@ -1,0 +1,88 @@
+"""Adjust cameras and points together, or one camera alone."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from torchrefrac.bundle.problem import RADIAL_TERMS, BundleProblem, BundleState
+from torchrefrac.optim import LevenbergMarquardtOptions, MinimizeReport, SchurPlan, minimize
+
+BundleReport = MinimizeReport[BundleState]
+
+
+@dataclass(frozen=True)
+class BundleOptions:
+    """loss_scale: Huber, pixels. pixel_sigma: expected noise of a keypoint, pixels; weighs it against gravity.
+
+    refine_radial: let k1 and k2 of the shared lens vary.
+    """
+
+    loss_scale: float = 1.0
+    pixel_sigma: float = 0.3
+    refine_radial: bool = False
+    solver: LevenbergMarquardtOptions = field(default_factory=LevenbergMarquardtOptions)
+
+
+def adjust(
+    state: BundleState,
+    camera: Tensor,
+    point: Tensor,
+    pixels: Tensor,
+    index_ratio: Tensor,
+    options: BundleOptions,
+    down_in_cam: Tensor | None = None,
+    down_sigma: float = 1.0,
+    callback: Callable[[int, float], None] | None = None,
+) -> BundleReport:
+    """Minimise reprojection error over all cameras and points of `state`.
+
+    camera, point (N): ids into the state, points ascending, a pair at most once; pixels (N, 2). Gravity is a soft prior
+    where given: unit down_in_cam (m, 3) with down_sigma in radians. The gauge is free: the result is as near to the
+    start as the data allow (4 degrees of freedom, 7 at index ratio 1); scale and place are the caller's to fix.
+    """
+    num_shared = RADIAL_TERMS if options.refine_radial else 0
+    plan = SchurPlan.create(camera, point, len(state.center), len(state.points), num_shared)
+    problem = BundleProblem(
+        plan=plan,
+        pixels=pixels,
+        index_ratio=index_ratio,
+        loss_scale=options.loss_scale,
+        pixel_sigma=options.pixel_sigma,
+        down_in_cam=down_in_cam,
+        down_sigma=down_sigma,
+        refine_radial=options.refine_radial,
+        free_gauge=True,
+    )
+    return minimize(problem, state, options.solver, callback)
+
+
+def adjust_pose(
+    state: BundleState,
+    pixels: Tensor,
+    index_ratio: Tensor,
+    options: BundleOptions,
+    down_in_cam: Tensor | None = None,
+    down_sigma: float = 1.0,
+) -> BundleReport:
+    """Minimise the reprojection error of one camera (m = 1) that sees all points of `state`, held fixed."""
+    count = len(state.points)
+    plan = SchurPlan.create(
+        torch.zeros(count, dtype=torch.long, device=pixels.device),
+        torch.arange(count, device=pixels.device),
+        num_cameras=1,
+        num_points=0,
+    )
+    problem = BundleProblem(
+        plan=plan,
+        pixels=pixels,
+        index_ratio=index_ratio,
+        loss_scale=options.loss_scale,
+        pixel_sigma=options.pixel_sigma,
+        down_in_cam=down_in_cam,
+        down_sigma=down_sigma,
+        refine_radial=False,
+        free_gauge=False,
+    )
+    return minimize(problem, state, options.solver)

@@ -1,0 +1,108 @@
+"""Levenberg-Marquardt: a candidate state is accepted or dropped, never changed in place and undone.
+
+The damping follows Nielsen's rule (Madsen, Nielsen, Tingleff, "Methods for non-linear least squares problems",
+2004, Eq. 2.21): continuous in the gain ratio when a step is accepted, doubling increases when it is not.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Generic, Literal, NamedTuple, Protocol, TypeVar
+
+from torch import Tensor
+
+State = TypeVar("State")
+Status = Literal["converged", "max_iterations", "stalled", "not_finite"]
+
+
+class Step(NamedTuple):
+    """A proposed change; predicted_decrease is how much the linear model expects the cost to fall."""
+
+    camera: Tensor
+    point: Tensor
+    predicted_decrease: Tensor
+    solved: Tensor
+
+
+class Linearization(Protocol):
+    """The problem linearised at one state."""
+
+    def solve(self, damping: float) -> Step:
+        """The step for H + damping * diag(H)."""
+        ...
+
+
+class Problem(Protocol[State]):
+    """A non-linear least-squares problem; states are immutable."""
+
+    def cost(self, state: State) -> Tensor:
+        """Half the sum of (robust) squared residuals, a scalar."""
+        ...
+
+    def linearize(self, state: State) -> Linearization: ...
+
+    def retract(self, state: State, step: Step) -> State: ...
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardtOptions:
+    """Stop after max_iterations or when an accepted step lowers the cost by less than function_tolerance of it."""
+
+    max_iterations: int = 50
+    function_tolerance: float = 1e-8
+    initial_damping: float = 1e-4
+    max_damping: float = 1e12
+
+
+@dataclass(frozen=True)
+class MinimizeReport(Generic[State]):
+    """The best state found, why the search ended and the cost after every accepted step (the first one included)."""
+
+    state: State
+    status: Status
+    iterations: int
+    costs: list[float] = field(default_factory=list)
+
+
+def minimize(
+    problem: Problem[State],
+    state: State,
+    options: LevenbergMarquardtOptions,
+    callback: Callable[[int, float], None] | None = None,
+) -> MinimizeReport[State]:
+    """Minimise `problem` from `state`; `callback(iteration, cost)` hears of every accepted step.
+
+    The state returned is never worse than the one given. Statuses: "converged"; "max_iterations"; "stalled", no step
+    lowers the cost at any damping (usually a minimum to rounding); "not_finite", the cost of the start is not a number.
+    """
+    cost = float(problem.cost(state))
+    costs = [cost]
+    if not math.isfinite(cost):
+        return MinimizeReport(state, "not_finite", 0, costs)
+    damping, growth = options.initial_damping, 2.0
+    linearization = problem.linearize(state)
+    for iteration in range(1, options.max_iterations + 1):
+        step = linearization.solve(damping)
+        candidate = problem.retract(state, step)
+        candidate_cost = float(problem.cost(candidate))
+        predicted = float(step.predicted_decrease)
+        decrease = cost - candidate_cost
+        if bool(step.solved) and math.isfinite(candidate_cost) and predicted > 0.0 and decrease >= 0.0:
+            gain = decrease / predicted
+            damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+            growth = 2.0
+            state, cost = candidate, candidate_cost
+            costs.append(cost)
+            if callback is not None:
+                callback(iteration, cost)
+            if decrease <= options.function_tolerance * cost:
+                return MinimizeReport(state, "converged", iteration, costs)
+            linearization = problem.linearize(state)
+        else:
+            if bool(step.solved) and 0.0 <= predicted <= options.function_tolerance * cost:
+                return MinimizeReport(state, "converged", iteration, costs)
+            damping *= growth
+            growth *= 2.0
+            if damping > options.max_damping:
+                return MinimizeReport(state, "stalled", iteration, costs)
+    return MinimizeReport(state, "max_iterations", options.max_iterations, costs)
