@@ -1,0 +1,43 @@
+"""Descriptor matching: mutual nearest neighbours that pass Lowe's ratio test."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+CHUNK = 512
+
+
+@dataclass(frozen=True)
+class MatchOptions:
+    """ratio: the nearest descriptor must be closer than this times the second nearest (Lowe, IJCV 2004)."""
+
+    ratio: float = 0.8
+
+
+def match(descriptors1: Tensor, descriptors2: Tensor, options: MatchOptions) -> Tensor:
+    """Index pairs (k, 2) of matching unit descriptors (n, d) and (m, d), ascending in the first column.
+
+    Exhaustive; works through chunks of rows so that memory stays small.
+    """
+    if len(descriptors1) < 1 or len(descriptors2) < 2:
+        return torch.zeros(0, 2, dtype=torch.long, device=descriptors1.device)
+    count = len(descriptors2)
+    best_row = torch.zeros(count, dtype=torch.long, device=descriptors1.device)
+    best_score = descriptors1.new_full((count,), -torch.inf)
+    similar, nearest = [], []
+    for start in range(0, len(descriptors1), CHUNK):
+        similarity = descriptors1[start : start + CHUNK] @ descriptors2.T
+        top = similarity.topk(2, dim=-1)
+        similar.append(top.values)
+        nearest.append(top.indices[:, 0])
+        score, row = similarity.max(dim=0)
+        better = score > best_score
+        best_score = torch.where(better, score, best_score)
+        best_row = torch.where(better, row + start, best_row)
+    target = torch.cat(nearest)
+    squared_distance = (2.0 - 2.0 * torch.cat(similar)).clamp(min=0.0)
+    distinct = squared_distance[:, 0] < options.ratio**2 * squared_distance[:, 1]
+    rows = torch.arange(len(descriptors1), device=descriptors1.device)
+    keep = distinct & (best_row[target] == rows)
+    return torch.stack((rows[keep], target[keep]), dim=-1)

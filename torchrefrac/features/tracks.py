@@ -1,0 +1,78 @@
+"""Tracks: connected components of matches."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+from torchrefrac.features.sift import Features
+from torchrefrac.scene import Tracks
+
+
+@dataclass(frozen=True)
+class PairMatches:
+    """Matches (k, 2) between the keypoints of images `first` and `second`."""
+
+    first: int
+    second: int
+    matches: Tensor
+
+    def __len__(self) -> int:
+        return len(self.matches)
+
+
+def build_tracks(features: Sequence[Features], pairs: Sequence[PairMatches], min_length: int = 2) -> Tracks:
+    """Join matches into tracks over all images.
+
+    Keypoints of one image at one position (SIFT gives a keypoint several orientations) count as one. A component
+    that holds two positions in one image is contradictory and dropped whole; so are those of fewer than `min_length`
+    images.
+    """
+    counts = [len(f) for f in features]
+    offset = np.concatenate(([0], np.cumsum(counts)))
+    image = torch.from_numpy(np.repeat(np.arange(len(features)), counts))
+    pixels = torch.cat([f.pixels for f in features])
+    node = _merge_positions(image, pixels)
+    edges = torch.cat(
+        [pair.matches + torch.tensor([offset[pair.first], offset[pair.second]]) for pair in pairs]
+        or [torch.zeros(0, 2, dtype=torch.long)]
+    )
+    first, second = node[edges[:, 0]].numpy(), node[edges[:, 1]].numpy()
+    graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(len(node), len(node)))
+    _, label = connected_components(graph, directed=False)
+    label = torch.from_numpy(label.astype(np.int64))
+
+    used = torch.unique(torch.from_numpy(np.concatenate((first, second)).astype(np.int64)))
+    component, image_of = label[used], image[used]
+    key, times = torch.unique(component * len(features) + image_of, return_counts=True)
+    contradictory = torch.zeros(int(label.max()) + 1 if len(label) else 0, dtype=torch.bool)
+    contradictory[key[times > 1] // len(features)] = True
+    length = torch.bincount(component, minlength=len(contradictory))
+    keep = ~contradictory[component] & (length[component] >= min_length)
+    component, used = component[keep], used[keep]
+    _, track = torch.unique(component, return_inverse=True)
+    order = torch.argsort(track * len(features) + image[used])
+    used, track = used[order], track[order]
+    return Tracks(
+        image=image[used],
+        track=track,
+        pixels=pixels[used],
+        colors=torch.cat([f.colors for f in features])[used],
+        num_tracks=int(track.max()) + 1 if len(track) else 0,
+    )
+
+
+def _merge_positions(image: Tensor, pixels: Tensor) -> Tensor:
+    """For each keypoint the first keypoint of its image at the same position (N)."""
+    key = torch.cat((image[:, None].double(), pixels), dim=-1)
+    _, group = torch.unique(key, dim=0, return_inverse=True)
+    ids = torch.arange(len(pixels))
+    first = torch.full((int(group.max()) + 1 if len(group) else 0,), len(pixels), dtype=torch.long)
+    first = first.scatter_reduce(0, group, ids, reduce="amin")
+    return first[group]
+
+

@@ -1,0 +1,36 @@
+"""A capture: the photographs of one scene and what is known about them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from torch import Tensor
+
+from torchrefrac.camera import Intrinsics
+
+
+class CaptureError(ValueError):
+    """The capture cannot be used; the message names the file or field and the remedy."""
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Photographs with shared intrinsics, each with the direction of gravity.
+
+    names and paths of m images; down_in_cam (m, 3) unit vectors with an expected error of down_sigma radians;
+    height (m) above the water in length_unit where has_height (m) says that it was measured; index_ratio n_water / n_air.
+    folder: where the capture was read from; truth, if any, lies beside it.
+    """
+
+    folder: Path
+    names: tuple[str, ...]
+    paths: tuple[Path, ...]
+    intrinsics: Intrinsics
+    index_ratio: float
+    down_in_cam: Tensor
+    down_sigma: float
+    height: Tensor
+    has_height: Tensor
+    length_unit: str
+
+    def __len__(self) -> int:
+        return len(self.names)

@@ -1,0 +1,47 @@
+"""A reconstruction: registered cameras and triangulated points."""
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.refraction import FlatInterface
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """m images, of which `registered` (m) have a pose; n points with their observations.
+
+    rotation (m, 3, 3) cam_from_world and center (m, 3): identity and zero where not registered. points (n, 3) in
+    length_unit, colors (n, 3) uint8. Observations (N), sorted by point: image, point, pixels (N, 2).
+    failures: for each image that is not registered, why. World: z up, water surface at z = 0 (index_ratio > 1).
+    """
+
+    names: tuple[str, ...]
+    registered: Tensor
+    rotation: Tensor
+    center: Tensor
+    intrinsics: Intrinsics
+    index_ratio: float
+    length_unit: str
+    points: Tensor
+    colors: Tensor
+    image: Tensor
+    point: Tensor
+    pixels: Tensor
+    failures: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def interface(self) -> FlatInterface:
+        return FlatInterface(self.index_ratio)
+
+    @property
+    def cameras(self) -> RefractiveCamera:
+        """All images as one batch (m); entries that are not registered are meaningless."""
+        return RefractiveCamera(self.intrinsics, self.rotation, self.center, self.interface)
+
+    def reprojection_errors(self) -> Tensor:
+        """Pixels (N): distance of each observation from its projected point; inf where that is impossible."""
+        projected, valid = self.cameras[self.image].project(self.points[self.point])
+        return torch.where(valid, (projected - self.pixels).norm(dim=-1), torch.inf)

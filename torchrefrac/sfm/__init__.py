@@ -1,0 +1,20 @@
+"""Incremental structure from motion, as in section 3 of the paper."""
+
+from torchrefrac.sfm.incremental import reconstruct_sparse
+from torchrefrac.sfm.options import SfmOptions
+from torchrefrac.sfm.pinhole import PinholeInitializer
+from torchrefrac.sfm.pose import PairPose, Pose, PoseInitializer
+from torchrefrac.sfm.refractive import RefractiveInitializer
+from torchrefrac.sfm.verification import VerifiedPair, verify_pairs
+
+__all__ = [
+    "PairPose",
+    "PinholeInitializer",
+    "Pose",
+    "PoseInitializer",
+    "RefractiveInitializer",
+    "SfmOptions",
+    "VerifiedPair",
+    "reconstruct_sparse",
+    "verify_pairs",
+]

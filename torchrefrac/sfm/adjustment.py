@@ -1,0 +1,40 @@
+"""Bundle adjustment of the growing model."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+
+from torchrefrac.bundle import BundleOptions, BundleState, adjust
+from torchrefrac.scene import Capture
+from torchrefrac.sfm.model import SparseModel
+
+
+def adjust_model(
+    model: SparseModel,
+    capture: Capture,
+    options: BundleOptions,
+    callback: Callable[[int, float], None] | None = None,
+) -> SparseModel:
+    """Adjust all registered cameras and all points. Gravity is a prior when there is refraction to see the plane by."""
+    tracks = model.tracks
+    images = model.registered.nonzero()[:, 0]
+    rows = model.active.nonzero()[:, 0]
+    ids, point = torch.unique_consecutive(tracks.track[rows], return_inverse=True)
+    camera_of = torch.zeros(len(model.registered), dtype=torch.long)
+    camera_of[images] = torch.arange(len(images))
+    refractive = bool(model.index_ratio > 1.0)
+    report = adjust(
+        BundleState(model.rotation[images], model.center[images], model.points[ids], model.intrinsics),
+        camera=camera_of[tracks.image[rows]],
+        point=point,
+        pixels=tracks.pixels[rows],
+        index_ratio=model.index_ratio,
+        options=options,
+        down_in_cam=capture.down_in_cam[images] if refractive else None,
+        down_sigma=capture.down_sigma,
+        callback=callback,
+    )
+    rotation, center, points = model.rotation.clone(), model.center.clone(), model.points.clone()
+    rotation[images], center[images], points[ids] = report.state.rotation, report.state.center, report.state.points
+    return replace(model, rotation=rotation, center=center, points=points, intrinsics=report.state.intrinsics)

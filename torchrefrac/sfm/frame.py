@@ -1,0 +1,64 @@
+"""Where the finished reconstruction stands: what the images leave open is fixed by convention and by what was measured."""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from torchrefrac.geometry import Similarity, heading_rotation, split_heading
+from torchrefrac.scene import Capture
+from torchrefrac.sfm.model import SparseModel
+
+
+def fix_frame(model: SparseModel, capture: Capture) -> SparseModel:
+    """Put the first registered image at x = y = 0 with heading 0, and scale to the measured heights.
+
+    Through water the scale is the least-squares one of the measured camera heights (or makes the first height 1); plane
+    and vertical stay. Without refraction neither can be seen: the frame is levelled by the mean of the gravity
+    vectors, the first camera put at its height (or 1), and the scale left as it is.
+    """
+    images = model.registered.nonzero()[:, 0]
+    if not len(images):
+        return model
+    refractive = bool(model.index_ratio > 1.0)
+    level = torch.eye(3, dtype=torch.float64) if refractive else _level(model, capture, images)
+    first = images[0]
+    _, heading = split_heading(model.rotation[first] @ level.T)
+    rotation = heading_rotation(heading) @ level
+    center = model.center[images] @ rotation.T
+    one = torch.ones((), dtype=torch.float64)
+    first_height = capture.height[first] if bool(capture.has_height[first]) else one
+    shift = -center[0]
+    if refractive:
+        measured = capture.has_height[images]
+        if bool(measured.any()):
+            found, wanted = center[measured, 2], capture.height[images][measured]
+            scale = (found * wanted).sum() / (found * found).sum()
+        else:
+            scale = 1.0 / center[0, 2]
+        shift = torch.cat((shift[:2], shift.new_zeros(1)))
+    else:
+        scale = one
+        shift = shift + torch.stack((0 * one, 0 * one, first_height))
+    return _transform(model, Similarity(scale, rotation, scale * shift))
+
+
+def _level(model: SparseModel, capture: Capture, images: Tensor) -> Tensor:
+    """Shortest rotation that takes the mean measured gravity to (0, 0, -1)."""
+    down = (model.rotation[images].mT @ capture.down_in_cam[images][..., None])[..., 0].mean(dim=0)
+    down = down / down.norm()
+    up = -down
+    x, y, z = up.unbind()
+    k = 1.0 / (1.0 + z).clamp(min=1e-6)
+    rows = (1.0 - k * x * x, -k * x * y, -x, -k * x * y, 1.0 - k * y * y, -y, x, y, z)
+    return torch.stack(rows).reshape(3, 3)
+
+
+def _transform(model: SparseModel, change: Similarity) -> SparseModel:
+    registered = model.registered[:, None]
+    return replace(
+        model,
+        rotation=torch.where(registered[..., None], change.apply_to_rotation(model.rotation), model.rotation),
+        center=torch.where(registered, change.apply(model.center), model.center),
+        points=change.apply(model.points),
+    )

@@ -1,0 +1,40 @@
+"""The pair of images that the reconstruction grows from."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+
+from torchrefrac.camera import Intrinsics
+from torchrefrac.scene import Tracks
+from torchrefrac.sfm.model import SparseModel
+from torchrefrac.sfm.options import SfmOptions
+from torchrefrac.sfm.triangulation import triangulate_tracks
+from torchrefrac.sfm.verification import VerifiedPair
+
+
+def rank_initial_pairs(pairs: Sequence[VerifiedPair], options: SfmOptions) -> list[VerifiedPair]:
+    """Best first: most inliers among the pairs with a sufficient baseline, then the others by their angle."""
+
+    def key(pair: VerifiedPair) -> tuple[bool, float]:
+        wide = pair.pose.median_angle >= options.min_initial_angle_deg * torch.pi / 180.0
+        return wide, len(pair.pair) if wide else pair.pose.median_angle
+
+    return sorted(pairs, key=key, reverse=True)
+
+
+def start_from_pair(
+    pair: VerifiedPair,
+    tracks: Tracks,
+    num_images: int,
+    intrinsics: Intrinsics,
+    index_ratio: torch.Tensor,
+    options: SfmOptions,
+) -> SparseModel:
+    """The model of two registered images and the points that both see."""
+    model = SparseModel.empty(tracks, num_images, intrinsics, index_ratio)
+    images = [pair.pair.first, pair.pair.second]
+    rotation, center, registered = model.rotation.clone(), model.center.clone(), model.registered.clone()
+    rotation[images], center[images], registered[images] = pair.pose.rotation, pair.pose.center, True
+    model = replace(model, rotation=rotation, center=center, registered=registered)
+    return triangulate_tracks(model, options)

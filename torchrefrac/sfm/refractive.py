@@ -1,0 +1,103 @@
+"""Poses through the water with known verticals (paper, section 3.4)."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchrefrac.bundle import BundleState, adjust_pose
+from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.geometry import heading_rotation, level_rotation
+from torchrefrac.ransac import AbsolutePoseEstimator, RansacOptions, RelativePoseEstimator, ransac
+from torchrefrac.refraction import FlatInterface
+from torchrefrac.scene import Capture
+from torchrefrac.sfm.options import SfmOptions
+from torchrefrac.sfm.pose import PairPose, Pose
+from torchrefrac.sfm.two_view import refine_pair
+
+
+@dataclass(frozen=True)
+class RefractiveInitializer:
+    """RANSAC over the known-vertical solvers with gravity taken for exact, then refinement with gravity as a prior."""
+
+    capture: Capture
+    index_ratio: Tensor
+    options: SfmOptions
+
+    def relative(
+        self, images: tuple[int, int], pixels: tuple[Tensor, Tensor], generator: torch.Generator
+    ) -> PairPose | None:
+        intrinsics = self.capture.intrinsics
+        down = self.capture.down_in_cam[list(images)]
+        cam_from_level = level_rotation(down)
+        plane1, plane2 = (intrinsics.plane_from_pixels(p) for p in pixels)
+        estimator = RelativePoseEstimator(
+            plane1, plane2, cam_from_level[0], cam_from_level[1], intrinsics.focal, self.index_ratio
+        )
+        report = ransac(estimator, self._loose(), generator)
+        if report.status != "success":
+            return None
+        heading = torch.stack((torch.zeros_like(report.model[0]), report.model[0]))
+        first = report.model.new_tensor((0.0, 0.0, estimator.height))
+        return refine_pair(
+            cam_from_level @ heading_rotation(heading),
+            torch.stack((first, report.model[1:])),
+            pixels,
+            report.inliers,
+            intrinsics,
+            self.index_ratio,
+            self.options.bundle,
+            self.options.ransac.max_error,
+            down,
+            self.capture.down_sigma,
+        )
+
+    def absolute(self, image: int, pixels: Tensor, points: Tensor, generator: torch.Generator) -> Pose | None:
+        intrinsics = self.capture.intrinsics
+        down = self.capture.down_in_cam[image]
+        cam_from_level = level_rotation(down)
+        plane = intrinsics.plane_from_pixels(pixels)
+        estimator = AbsolutePoseEstimator(plane, points, cam_from_level, intrinsics.focal, self.index_ratio)
+        report = ransac(estimator, self._loose(), generator)
+        if report.status != "success":
+            return None
+        rotation = cam_from_level @ heading_rotation(report.model[0])
+        return refine_pose(
+            Pose(rotation, report.model[1:], report.inliers),
+            pixels,
+            points,
+            intrinsics,
+            self.index_ratio,
+            self.options,
+            down[None],
+            self.capture.down_sigma,
+        )
+
+    def _loose(self) -> RansacOptions:
+        """A threshold that an exact pose with gravity off by two sigma still meets."""
+        blur = float(self.capture.intrinsics.focal.mean()) * self.capture.down_sigma * 2.0
+        return replace(self.options.ransac, max_error=self.options.ransac.max_error + blur)
+
+
+def refine_pose(
+    pose: Pose,
+    pixels: Tensor,
+    points: Tensor,
+    intrinsics: Intrinsics,
+    index_ratio: Tensor,
+    options: SfmOptions,
+    down_in_cam: Tensor | None = None,
+    down_sigma: float = 1.0,
+) -> Pose:
+    """Adjust one camera to its inliers, twice; inliers are then those within ransac.max_error."""
+    for _ in range(2):
+        state = BundleState(pose.rotation[None], pose.center[None], points[pose.inliers], intrinsics)
+        report = adjust_pose(state, pixels[pose.inliers], index_ratio, options.bundle, down_in_cam, down_sigma)
+        rotation, center = report.state.rotation[0], report.state.center[0]
+        camera = RefractiveCamera(intrinsics, rotation, center, FlatInterface(index_ratio))
+        projected, valid = camera.project(points)
+        inliers = valid & ((projected - pixels).norm(dim=-1) < options.ransac.max_error)
+        pose = Pose(rotation, center, inliers)
+        if int(inliers.sum()) < 3:
+            break
+    return pose

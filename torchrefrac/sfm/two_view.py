@@ -1,0 +1,65 @@
+"""Polish the pose of a pair: adjust, judge the matches anew, adjust again."""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from torchrefrac.bundle import BundleOptions, BundleState, adjust
+from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.optim import LevenbergMarquardtOptions
+from torchrefrac.refraction import FlatInterface
+from torchrefrac.sfm.pose import PairPose
+from torchrefrac.sfm.rays import triangulate_rays
+
+ROUNDS = 2
+SOLVER = LevenbergMarquardtOptions(max_iterations=15, function_tolerance=1e-5)
+
+
+def refine_pair(
+    rotation: Tensor,
+    center: Tensor,
+    pixels: tuple[Tensor, Tensor],
+    inliers: Tensor,
+    intrinsics: Intrinsics,
+    index_ratio: Tensor,
+    options: BundleOptions,
+    max_error: float,
+    down_in_cam: Tensor | None = None,
+    down_sigma: float = 1.0,
+) -> PairPose:
+    """Two-view bundle adjustment from a rough pose: rotation (2, 3, 3), center (2, 3), pixels (N, 2) twice.
+
+    `inliers` (N) start it; afterwards a match is an inlier when its point reprojects within max_error in both images.
+    """
+    both = torch.stack(pixels, dim=1)
+    present = torch.ones(both.shape[:2], dtype=torch.bool)
+    options = replace(options, refine_radial=False, solver=SOLVER)
+    for _ in range(ROUNDS):
+        camera = _cameras(intrinsics, rotation, center, index_ratio)
+        points, _, _ = triangulate_rays(camera, both, present)
+        rows = inliers.nonzero()[:, 0]
+        report = adjust(
+            BundleState(rotation, center, points[rows], intrinsics),
+            camera=torch.arange(2).repeat(len(rows)),
+            point=torch.arange(len(rows)).repeat_interleave(2),
+            pixels=both[rows].flatten(0, 1),
+            index_ratio=index_ratio,
+            options=options,
+            down_in_cam=down_in_cam,
+            down_sigma=down_sigma,
+        )
+        rotation, center = report.state.rotation, report.state.center
+        camera = _cameras(intrinsics, rotation, center, index_ratio)
+        points, angle, valid = triangulate_rays(camera, both, present)
+        projected, possible = camera.project(points[:, None])
+        error = (projected - both).norm(dim=-1).amax(dim=-1)
+        inliers = valid & possible.all(dim=-1) & (error < max_error)
+        if int(inliers.sum()) < 6:
+            break
+    median = float(angle[inliers].median()) if bool(inliers.any()) else 0.0
+    return PairPose(rotation, center, inliers, points, median)
+
+
+def _cameras(intrinsics: Intrinsics, rotation: Tensor, center: Tensor, index_ratio: Tensor) -> RefractiveCamera:
+    return RefractiveCamera(intrinsics, rotation, center, FlatInterface(index_ratio))

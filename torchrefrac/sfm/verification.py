@@ -1,0 +1,44 @@
+"""Geometric verification: which matches of a pair agree on one relative pose."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from torchrefrac.features import Features, PairMatches
+from torchrefrac.recorder import Recorder
+from torchrefrac.sfm.pose import PairPose, PoseInitializer
+
+
+@dataclass(frozen=True)
+class VerifiedPair:
+    """The matches of a pair that a relative pose explains, and that pose."""
+
+    pair: PairMatches
+    pose: PairPose
+    num_putative: int
+
+
+def verify_pairs(
+    pairs: Sequence[PairMatches],
+    features: Sequence[Features],
+    initializer: PoseInitializer,
+    min_inliers: int,
+    generator: torch.Generator,
+    recorder: Recorder,
+) -> list[VerifiedPair]:
+    """Keep the inliers of each pair; pairs with fewer than `min_inliers` are dropped."""
+    verified = []
+    for step, pair in enumerate(recorder.track(pairs, len(pairs), "verifying", "pair")):
+        if len(pair) < min_inliers:
+            continue
+        first = features[pair.first].pixels[pair.matches[:, 0]]
+        second = features[pair.second].pixels[pair.matches[:, 1]]
+        pose = initializer.relative((pair.first, pair.second), (first, second), generator)
+        count = int(pose.inliers.sum()) if pose is not None else 0
+        recorder.scalar("verification/inliers", count, step)
+        recorder.scalar("verification/inlier_ratio", count / len(pair), step)
+        if pose is not None and count >= min_inliers:
+            kept = PairMatches(pair.first, pair.second, pair.matches[pose.inliers])
+            verified.append(VerifiedPair(kept, pose, len(pair)))
+    return verified
