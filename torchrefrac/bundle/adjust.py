@@ -19,7 +19,7 @@ class BundleOptions:
     refine_radial: let k1 and k2 of the shared lens vary.
     """
 
-    loss_scale: float = 1.0
+    loss_scale: float = 0.25
     pixel_sigma: float = 0.3
     refine_radial: bool = False
     solver: LevenbergMarquardtOptions = field(default_factory=LevenbergMarquardtOptions)

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-UNDISTORT_ITERATIONS = 20
+UNDISTORT_STEPS = 8
 
 
 def distort(xy: Tensor, coefficients: Tensor) -> Tensor:
@@ -48,16 +48,12 @@ def undistort(distorted: Tensor, coefficients: Tensor) -> Tensor:
     Newton from the distorted point. It needs a lens that is one-to-one over the image (true of any calibrated
     lens inside its image). The last step carries the graph, so first derivatives are exact.
     """
-    with torch.no_grad():
-        xy = distorted.detach()
-        xy, coefficients_now = torch.broadcast_tensors(xy, coefficients.detach()[..., :1])[0], coefficients.detach()
-        for _ in range(UNDISTORT_ITERATIONS):
-            value, jacobian, _ = distort_with_jacobians(xy, coefficients_now)
-            step = _solve_2x2(jacobian, value - distorted)
-            xy = xy - step
-            if float(step.abs().amax() if step.numel() else 0.0) < 1e-14:
-                break
-        _, jacobian, _ = distort_with_jacobians(xy, coefficients_now)
+    target, constants = distorted.detach(), coefficients.detach()
+    xy = torch.broadcast_tensors(target, constants[..., :1])[0]
+    for _ in range(UNDISTORT_STEPS):
+        value, jacobian, _ = distort_with_jacobians(xy, constants)
+        xy = xy - _solve_2x2(jacobian, value - target)
+    jacobian = distort_with_jacobians(xy, constants)[1]
     return xy - _solve_2x2(jacobian, distort(xy, coefficients) - distorted)
 
 

@@ -1,15 +1,14 @@
 """A camera above a flat water surface."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchrefrac.camera.intrinsics import Intrinsics
-from torchrefrac.camera.jacobians import ProjectionJacobians, project_with_jacobians
+from torchrefrac.camera.jacobians import MIN_DEPTH, ProjectionJacobians, project_with_jacobians
 from torchrefrac.refraction import FlatInterface, lift_points, refract_rays
-
-MIN_DEPTH = 1e-9
 
 
 @dataclass(frozen=True)
@@ -33,10 +32,18 @@ class RefractiveCamera:
         if self.center_in_world.shape[-1:] != (3,):
             raise ValueError(f"center_in_world has shape {tuple(self.center_in_world.shape)}, but must end in (3,)")
 
-    def __getitem__(self, index: object) -> "RefractiveCamera":
-        """Index the batch dimensions of the poses, as one indexes a tensor."""
-        rotation = self.cam_from_world_rotation[index]  # type: ignore[index]
-        return RefractiveCamera(self.intrinsics, rotation, self.center_in_world[index], self.interface)  # type: ignore[index]
+    def __getitem__(self, index: Any) -> "RefractiveCamera":
+        """Index the batch dimensions as one indexes a tensor: `camera[3]`, `camera[:, None]`.
+
+        What is not batched, but shared by all cameras (intrinsics, index ratio), stays shared.
+        """
+        ratio = self.interface.index_ratio
+        interface = FlatInterface(ratio[index]) if isinstance(ratio, Tensor) and ratio.dim() else self.interface
+        lens = self.intrinsics
+        if lens.focal.dim() > 1:
+            focal, principal, distortion = lens.focal, lens.principal_point, lens.distortion
+            lens = Intrinsics(lens.width, lens.height, focal[index], principal[index], distortion[index])
+        return RefractiveCamera(lens, self.cam_from_world_rotation[index], self.center_in_world[index], interface)
 
     def project(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
         """Pixels (*B, 2) of world points (*B, 3), and a mask (*B) of those in front of a camera above water.

@@ -49,7 +49,9 @@ def extract_sift(path: Path, options: SiftOptions) -> Features:
     )
     keypoints, descriptors = sift.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), None)  # type: ignore[call-overload]
     if not keypoints:
-        return Features(torch.zeros(0, 2, dtype=torch.float64), torch.zeros(0, 128), torch.zeros(0, 3, dtype=torch.uint8))
+        return Features(
+            torch.zeros(0, 2, dtype=torch.float64), torch.zeros(0, 128), torch.zeros(0, 3, dtype=torch.uint8)
+        )
     position = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64)
     column, row = np.rint(position).astype(int).T
     height, width = image.shape[:2]

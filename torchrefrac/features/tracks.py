@@ -74,5 +74,3 @@ def _merge_positions(image: Tensor, pixels: Tensor) -> Tensor:
     first = torch.full((int(group.max()) + 1 if len(group) else 0,), len(pixels), dtype=torch.long)
     first = first.scatter_reduce(0, group, ids, reduce="amin")
     return first[group]
-
-

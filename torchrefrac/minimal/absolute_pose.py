@@ -13,9 +13,7 @@ from torchrefrac.minimal.rays import cross2, slopes
 from torchrefrac.numerics import least_squares_on_circle
 
 
-def absolute_pose_2pt(
-    rays: Tensor, points: Tensor, index_ratio: Tensor | float
-) -> tuple[Tensor, Tensor, Tensor]:
+def absolute_pose_2pt(rays: Tensor, points: Tensor, index_ratio: Tensor | float) -> tuple[Tensor, Tensor, Tensor]:
     """Closed-form pose from 2 level rays (*B, 2, 3) and their world points (*B, 2, 3).
 
     Returns heading (*B, 2) in radians, center (*B, 2, 3) and valid (*B, 2): up to two solutions of
@@ -76,9 +74,7 @@ def absolute_pose_lsqi(
     return heading, torch.where(valid[..., None], center, torch.ones_like(center)), valid
 
 
-def _terms(
-    rays: Tensor, points: Tensor, index_ratio: Tensor | float
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _terms(rays: Tensor, points: Tensor, index_ratio: Tensor | float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Slopes m and the coefficients (*B, n, 2) of C, of S and of 1 in the two equations of a point."""
     index = torch.as_tensor(index_ratio, dtype=rays.dtype, device=rays.device)[..., None]
     m, g = slopes(rays, index)

@@ -6,9 +6,7 @@ from torch import Tensor
 from torchrefrac.numerics import inverse_cholesky_3x3
 
 
-def triangulate(
-    origins: Tensor, directions: Tensor, weights: Tensor | None = None
-) -> tuple[Tensor, Tensor]:
+def triangulate(origins: Tensor, directions: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
     """The points with the least sum of squared distances to their rays.
 
     origins (*B, n, 3) and unit directions (*B, n, 3), as `RefractiveCamera.cast_rays` returns them (the rays lie in

@@ -9,7 +9,7 @@ def real_roots(coefficients: Tensor, tolerance: float | None = None) -> tuple[Te
 
     coefficients: (*B, n + 1), highest power first, the first one not zero.
     Returns the real parts (*B, n) and a mask (*B, n); a root counts as real when its imaginary part is
-    below `tolerance` times max(1, |root|) (default: the square root of the machine epsilon, which still
+    below `tolerance` times max(1, |root|) (default: 64 square roots of the machine epsilon, which still
     admits the double roots that rounding has split into a conjugate pair).
     """
     monic = coefficients[..., 1:] / coefficients[..., :1]
@@ -18,6 +18,6 @@ def real_roots(coefficients: Tensor, tolerance: float | None = None) -> tuple[Te
     companion[..., 0, :] = -monic
     roots = torch.linalg.eigvals(companion)
     if tolerance is None:
-        tolerance = torch.finfo(monic.dtype).eps ** 0.5
+        tolerance = 64.0 * torch.finfo(monic.dtype).eps ** 0.5
     is_real = roots.imag.abs() <= tolerance * roots.abs().clamp(min=1.0)
     return roots.real, is_real

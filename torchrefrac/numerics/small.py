@@ -7,17 +7,18 @@ from torch import Tensor
 def inverse_cholesky_3x3(matrix: Tensor) -> Tensor:
     """The lower triangular X with X A X^T = I for symmetric positive definite A (*B, 3, 3).
 
-    X is the inverse of the Cholesky factor, so A^-1 = X^T X. Pivots are kept above the smallest normal
-    number: a singular A gives a huge but finite X.
+    X is the inverse of the Cholesky factor, so A^-1 = X^T X. Pivots are kept above rounding error of
+    the diagonal: a singular A gives a large but finite X.
     """
-    tiny = torch.finfo(matrix.dtype).tiny
+    eps, tiny = torch.finfo(matrix.dtype).eps, torch.finfo(matrix.dtype).tiny
+    floor = (eps * matrix.diagonal(dim1=-2, dim2=-1)).clamp(min=tiny)
     a00, a10, a11 = matrix[..., 0, 0], matrix[..., 1, 0], matrix[..., 1, 1]
     a20, a21, a22 = matrix[..., 2, 0], matrix[..., 2, 1], matrix[..., 2, 2]
     x00 = a00.clamp(min=tiny).rsqrt()
     l10, l20 = a10 * x00, a20 * x00
-    x11 = (a11 - l10 * l10).clamp(min=tiny).rsqrt()
+    x11 = (a11 - l10 * l10).clamp(min=floor[..., 1]).rsqrt()
     l21 = (a21 - l20 * l10) * x11
-    x22 = (a22 - l20 * l20 - l21 * l21).clamp(min=tiny).rsqrt()
+    x22 = (a22 - l20 * l20 - l21 * l21).clamp(min=floor[..., 2]).rsqrt()
     x10 = -l10 * x00 * x11
     x21 = -l21 * x11 * x22
     x20 = -(l20 * x00 + l21 * x10) * x22

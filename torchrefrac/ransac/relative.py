@@ -1,7 +1,5 @@
 """Relative pose with known verticals, scored by refractive reprojection error."""
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
@@ -10,10 +8,7 @@ from torchrefrac.minimal import relative_pose_npt
 from torchrefrac.minimal.rays import slopes
 from torchrefrac.refraction import lift_points
 
-SAMPLE_SIZE = 7
 
-
-@dataclass(frozen=True)
 class RelativePoseEstimator:
     """Models are (heading, c_x, c_y, c_z) of the second camera; the first stands at (0, 0, height), heading 0.
 
@@ -22,42 +17,43 @@ class RelativePoseEstimator:
     of the reprojection error of its triangulated point, which must lie below the water and ahead of both cameras.
     """
 
-    plane1: Tensor
-    plane2: Tensor
-    cam1_from_level: Tensor
-    cam2_from_level: Tensor
-    focal: Tensor
-    index_ratio: Tensor
-    height: float = 1.0
-    sample_size: int = SAMPLE_SIZE
+    sample_size = 7
 
-    def __post_init__(self) -> None:
-        rays1 = level_rays(self.plane1, self.cam1_from_level)
-        rays2 = level_rays(self.plane2, self.cam2_from_level)
-        object.__setattr__(self, "_rays", (rays1, rays2))
-        terms = (*slopes(rays1, self.index_ratio), *slopes(rays2, self.index_ratio))
-        object.__setattr__(self, "_slopes", terms)
+    def __init__(
+        self,
+        plane1: Tensor,
+        plane2: Tensor,
+        cam1_from_level: Tensor,
+        cam2_from_level: Tensor,
+        focal: Tensor,
+        index_ratio: Tensor,
+        height: float = 1.0,
+    ) -> None:
+        self.height = height
+        self._plane1, self._plane2 = plane1, plane2
+        self._cam1_from_level, self._cam2_from_level = cam1_from_level, cam2_from_level
+        self._focal, self._index_ratio = focal, index_ratio
+        self._rays1 = level_rays(plane1, cam1_from_level)
+        self._rays2 = level_rays(plane2, cam2_from_level)
+        self._m1, self._g1 = slopes(self._rays1, index_ratio)
+        self._m2, self._g2 = slopes(self._rays2, index_ratio)
 
     @property
     def num_data(self) -> int:
-        return self.plane1.shape[0]
+        return self._plane1.shape[0]
 
     def solve(self, samples: Tensor) -> tuple[Tensor, Tensor]:
-        rays1, rays2 = self._rays  # type: ignore[attr-defined]
-        heading, center, valid = relative_pose_npt(rays1[samples], rays2[samples], self.index_ratio, self.height)
-        return torch.cat((heading[..., None], center), dim=-1), valid
+        return self._fit(self._rays1[samples], self._rays2[samples])
 
     def refit(self, model: Tensor, inliers: Tensor) -> tuple[Tensor, Tensor]:
-        rays1, rays2 = self._rays  # type: ignore[attr-defined]
-        heading, center, valid = relative_pose_npt(rays1[inliers], rays2[inliers], self.index_ratio, self.height)
-        return torch.cat((heading[..., None], center), dim=-1), valid
+        return self._fit(self._rays1[inliers], self._rays2[inliers])
 
     def squared_errors(self, models: Tensor) -> Tensor:
         points, possible = self.triangulate(models)
         first = points.new_tensor((0.0, 0.0, self.height))
-        error1, ahead1 = self._error(points, first, self.cam1_from_level[None], self.plane1)
-        cam2_from_world = self.cam2_from_level @ heading_rotation(models[:, 0])
-        error2, ahead2 = self._error(points, models[:, None, 1:], cam2_from_world, self.plane2)
+        error1, ahead1 = self._error(points, first, self._cam1_from_level[None], self._plane1)
+        cam2_from_world = self._cam2_from_level @ heading_rotation(models[:, 0])
+        error2, ahead2 = self._error(points, models[:, None, 1:], cam2_from_world, self._plane2)
         possible = possible & ahead1 & ahead2
         return torch.where(possible, 0.5 * (error1 + error2), torch.inf)
 
@@ -66,9 +62,8 @@ class RelativePoseEstimator:
 
         Both rays are linear in depth, p_xy = q + (m/g) p_z: p_z makes their horizontal distance smallest.
         """
-        m1, g1, m2, g2 = self._slopes  # type: ignore[attr-defined]
-        back = heading_rotation(models[:, 0])[:, :2, :2]
-        m2 = m2 @ back
+        m1, g1, g2 = self._m1, self._g1, self._g2
+        m2 = self._m2 @ heading_rotation(models[:, 0])[:, :2, :2]
         center = models[:, None, 1:]
         foot1 = -self.height * m1
         foot2 = center[..., :2] - center[..., 2:] * m2
@@ -82,8 +77,12 @@ class RelativePoseEstimator:
         horizontal = 0.5 * (foot1 + foot2 + (slope1 + slope2) * z[..., None])
         return torch.cat((horizontal, z[..., None]), dim=-1), below
 
+    def _fit(self, rays1: Tensor, rays2: Tensor) -> tuple[Tensor, Tensor]:
+        heading, center, valid = relative_pose_npt(rays1, rays2, self._index_ratio, self.height)
+        return torch.cat((heading[..., None], center), dim=-1), valid
+
     def _error(self, points: Tensor, center: Tensor, rotation: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
-        return plane_error(points, center, rotation, plane, self.focal, self.index_ratio)
+        return plane_error(points, center, rotation, plane, self._focal, self._index_ratio)
 
 
 def level_rays(plane: Tensor, cam_from_level: Tensor) -> Tensor:

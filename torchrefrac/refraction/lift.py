@@ -34,7 +34,7 @@ def lift_points(center: Tensor, points: Tensor, index_ratio: Tensor) -> tuple[Te
     straight, wet, terms = _terms(center, points, index_ratio)
     lifted = apparent_height(*terms)
     vertical = torch.where(wet, -lifted, straight[..., 2])
-    offset = torch.cat((straight[..., :2], vertical[..., None]), dim=-1)
+    offset = torch.cat((straight[..., :2].expand(*vertical.shape, 2), vertical[..., None]), dim=-1)
     return offset, _is_valid(center, offset, index_ratio)
 
 
@@ -45,7 +45,7 @@ def lift_with_partials(center: Tensor, points: Tensor, index_ratio: Tensor) -> t
     by_height, by_depth, by_distance_sq, by_index = apparent_height_partials(lifted, *terms)
     one, zero = torch.ones_like(lifted), torch.zeros_like(lifted)
     vertical = torch.where(wet, -lifted, straight[..., 2])
-    offset = torch.cat((straight[..., :2], vertical[..., None]), dim=-1)
+    offset = torch.cat((straight[..., :2].expand(*vertical.shape, 2), vertical[..., None]), dim=-1)
     lift = Lift(
         offset=offset,
         by_center_z=torch.where(wet, by_height, one),

@@ -6,9 +6,7 @@ from torch import Tensor
 from torchrefrac.numerics import real_roots
 
 
-def refrax_ratio_companion(
-    height: Tensor, depth: Tensor, distance_sq: Tensor, index_ratio: Tensor
-) -> Tensor:
+def refrax_ratio_companion(height: Tensor, depth: Tensor, distance_sq: Tensor, index_ratio: Tensor) -> Tensor:
     """Refrax ratio (*B) from Eq. 4 of Chang & Chen (ICCV 2011), with +h^2 as its constant term.
 
     Solved for mu = 1/lambda: h^2 mu^4 - 2 h^2 mu^3 + (N a^2 + h^2 - d^2/n^2) mu^2 - 2 N a^2 mu + N a^2 = 0 with

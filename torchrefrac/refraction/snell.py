@@ -76,12 +76,12 @@ def apparent_height_partials(
     s = apparent.reciprocal()
     n_sq = index_ratio * index_ratio
     s_sq = s * s
-    w_sq = (n_sq + (n_sq - 1.0) * distance_sq * s_sq).reciprocal()
+    w_sq = (n_sq + (index_ratio - 1.0) * (index_ratio + 1.0) * distance_sq * s_sq).reciprocal()
     w = w_sq.sqrt()
     dw3 = depth * w * w_sq
     by_height = apparent / (height + dw3 * n_sq)
     by_depth = by_height * w
-    by_distance_sq = -0.5 * by_height * dw3 * (n_sq - 1.0) * s_sq
+    by_distance_sq = -0.5 * by_height * dw3 * (index_ratio - 1.0) * (index_ratio + 1.0) * s_sq
     by_index = -by_height * dw3 * index_ratio * (1.0 + distance_sq * s_sq)
     return by_height, by_depth, by_distance_sq, by_index
 
@@ -92,9 +92,7 @@ class _ApparentHeight(torch.autograd.Function):
     generate_vmap_rule = True
 
     @staticmethod
-    def forward(
-        height: Tensor, depth: Tensor, distance_sq: Tensor, index_ratio: Tensor, method: Method
-    ) -> Tensor:
+    def forward(height: Tensor, depth: Tensor, distance_sq: Tensor, index_ratio: Tensor, method: Method) -> Tensor:
         if method == "companion":
             return height / refrax_ratio_companion(height, depth, distance_sq, index_ratio)
         solve = _halley if method == "halley" else _newton
@@ -120,7 +118,7 @@ def _start(height: Tensor, depth: Tensor, k_distance_sq: Tensor, index_ratio: Te
 
 def _halley(height: Tensor, depth: Tensor, distance_sq: Tensor, index_ratio: Tensor) -> Tensor:
     n_sq = index_ratio * index_ratio
-    kd = (n_sq - 1.0) * distance_sq
+    kd = (index_ratio - 1.0) * (index_ratio + 1.0) * distance_sq
     depth_n_sq = depth * n_sq
     s = _start(height, depth, kd, index_ratio)
     for _ in range(HALLEY_STEPS.get(height.dtype, 4)):
@@ -137,7 +135,7 @@ def _halley(height: Tensor, depth: Tensor, distance_sq: Tensor, index_ratio: Ten
 
 def _newton(height: Tensor, depth: Tensor, distance_sq: Tensor, index_ratio: Tensor) -> Tensor:
     n_sq = index_ratio * index_ratio
-    kd = (n_sq - 1.0) * distance_sq
+    kd = (index_ratio - 1.0) * (index_ratio + 1.0) * distance_sq
     s = _start(height, depth, kd, index_ratio)
     for _ in range(NEWTON_STEPS.get(height.dtype, 9)):
         w = (n_sq + kd * s * s).rsqrt()

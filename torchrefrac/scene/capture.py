@@ -17,8 +17,8 @@ class Capture:
     """Photographs with shared intrinsics, each with the direction of gravity.
 
     names and paths of m images; down_in_cam (m, 3) unit vectors with an expected error of down_sigma radians;
-    height (m) above the water in length_unit where has_height (m) says that it was measured; index_ratio n_water / n_air.
-    folder: where the capture was read from; truth, if any, lies beside it.
+    height (m) above the water in length_unit where has_height (m) says that it was measured; index_ratio is
+    n_water / n_air. folder: where the capture was read from; truth, if any, lies beside it.
     """
 
     folder: Path

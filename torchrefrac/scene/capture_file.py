@@ -106,7 +106,7 @@ def _gravity(image: Fields) -> list[float]:
     if down[2] <= 0.0:
         raise image.fail(
             "down_in_cam",
-            f"is {down}, a camera that looks at the sky; camera z points forward, so its third component must be above 0",
+            f"is {down}, a camera that looks at the sky; with camera z forward its third component must be above 0",
         )
     return [x / norm for x in down]
 

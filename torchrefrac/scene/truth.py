@@ -13,7 +13,8 @@ from torchrefrac.scene.fields import read_json
 class Truth:
     """names and poses of the true cameras; planes as rectangles.
 
-    rotation (m, 3, 3), center (m, 3); corner, edge1, edge2 (k, 3): a plane is corner + s edge1 + t edge2, 0 <= s, t <= 1.
+    rotation (m, 3, 3), center (m, 3); corner, edge1, edge2 (k, 3): a plane is corner + s edge1 + t edge2 with
+    s and t from 0 to 1.
     """
 
     names: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""Where the finished reconstruction stands: what the images leave open is fixed by convention and by what was measured."""
+"""Where the finished reconstruction stands: what images leave open is fixed by convention and measured heights."""
 
 from dataclasses import replace
 

@@ -73,9 +73,7 @@ class _Growth:
 
     def start(self, pairs: Sequence[VerifiedPair], tracks: Tracks, index_ratio: torch.Tensor) -> SparseModel:
         for pair in rank_initial_pairs(pairs, self.options):
-            model = start_from_pair(
-                pair, tracks, len(self.capture), self.capture.intrinsics, index_ratio, self.options
-            )
+            model = start_from_pair(pair, tracks, len(self.capture), self.capture.intrinsics, index_ratio, self.options)
             if int(model.has_point.sum()) < MIN_INITIAL_POINTS:
                 continue
             model = self.adjust(model, GROWING)

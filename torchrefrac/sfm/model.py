@@ -14,8 +14,8 @@ from torchrefrac.scene import Tracks
 class SparseModel:
     """Poses of m images and points of T tracks, so far; every step makes a new one.
 
-    registered (m); rotation (m, 3, 3), center (m, 3); points (T, 3) where has_point (T); active (N): the observations of
-    `tracks` that support a point. index_ratio: scalar tensor.
+    registered (m); rotation (m, 3, 3), center (m, 3); points (T, 3) where has_point (T); active (N): the
+    observations of `tracks` that support a point. index_ratio: scalar tensor.
     """
 
     tracks: Tracks

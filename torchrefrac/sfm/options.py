@@ -10,11 +10,11 @@ from torchrefrac.ransac import RansacOptions
 class SfmOptions:
     """Thresholds in pixels and degrees.
 
-    ransac.max_error is the error of a match or point at a good pose; what the uncertainty of gravity adds is added
-    to it while gravity is taken for exact. min_pair_inliers: fewer verified matches make no pair. min_initial_angle_deg:
-    median angle between the rays of the initial pair. min_angle_deg: of a point that is kept. max_error: of an
-    observation that is kept. min_track_length: images that must see a final point (2 where only 2 are registered).
-    global_growth: adjust everything whenever the number of images has grown by this factor.
+    ransac.max_error is the error of a match or point at a good pose; what the uncertainty of gravity adds is added to
+    it while gravity is taken for exact. min_pair_inliers: fewer verified matches make no pair.
+    min_initial_angle_deg: median angle between the rays of the initial pair. min_angle_deg: of a point that is kept.
+    max_error: of an observation that is kept. min_track_length: images that must see a final point (2 where only 2
+    are registered). global_growth: adjust everything whenever the number of images has grown by this factor.
     """
 
     ransac: RansacOptions = field(default_factory=RansacOptions)

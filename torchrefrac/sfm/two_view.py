@@ -13,7 +13,7 @@ from torchrefrac.sfm.pose import PairPose
 from torchrefrac.sfm.rays import triangulate_rays
 
 ROUNDS = 2
-SOLVER = LevenbergMarquardtOptions(max_iterations=15, function_tolerance=1e-5)
+SOLVER = LevenbergMarquardtOptions(max_iterations=8, function_tolerance=1e-3)
 
 
 def refine_pair(

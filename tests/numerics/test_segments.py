@@ -1,0 +1,37 @@
+"""Sums over groups of rows."""
+
+import torch
+from tolerances import assert_matches
+
+from torchrefrac.numerics import segment_sum
+
+
+def test_rows_of_one_segment_are_added_and_absent_segments_are_zero():
+    values = torch.arange(12.0).reshape(4, 3)
+
+    total = segment_sum(values, torch.tensor([2, 0, 2, 4]), 5)
+
+    expected = torch.zeros(5, 3)
+    expected[0], expected[2], expected[4] = values[1], values[0] + values[2], values[3]
+    assert torch.equal(total, expected)
+
+
+def test_trailing_dimensions_of_the_rows_are_kept(draw):
+    values = draw.normal(6, 2, 3)
+
+    total = segment_sum(values, torch.tensor([0, 1, 0, 1, 0, 1]), 2)
+
+    assert_matches(total, torch.stack((values[::2].sum(0), values[1::2].sum(0))))
+
+
+def test_no_rows_at_all_sum_to_zero():
+    assert torch.equal(segment_sum(torch.empty(0, 2), torch.empty(0, dtype=torch.long), 3), torch.zeros(3, 2))
+
+
+def test_the_gradient_of_a_row_is_that_of_its_segment(draw):
+    values, weights = draw.normal(4, 2).requires_grad_(), draw.normal(3, 2)
+    segment = torch.tensor([1, 1, 0, 2])
+
+    (segment_sum(values, segment, 3) * weights).sum().backward()
+
+    assert torch.equal(values.grad, weights[segment])
