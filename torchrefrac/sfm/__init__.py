@@ -1,6 +1,6 @@
 """Incremental structure from motion, as in section 3 of the paper."""
 
-from torchrefrac.sfm.incremental import reconstruct_sparse
+from torchrefrac.sfm.incremental import NoInitialPairError, reconstruct_sparse
 from torchrefrac.sfm.options import SfmOptions
 from torchrefrac.sfm.pinhole import PinholeInitializer
 from torchrefrac.sfm.pose import PairPose, Pose, PoseInitializer
@@ -8,6 +8,7 @@ from torchrefrac.sfm.refractive import RefractiveInitializer
 from torchrefrac.sfm.verification import VerifiedPair, verify_pairs
 
 __all__ = [
+    "NoInitialPairError",
     "PairPose",
     "PinholeInitializer",
     "Pose",

@@ -23,7 +23,7 @@ class SfmOptions:
     min_registration_inliers: int = 20
     min_initial_angle_deg: float = 5.0
     min_angle_deg: float = 1.5
-    max_error: float = 2.0
+    max_error: float = 4.0
     min_track_length: int = 3
     global_growth: float = 1.1
     final_rounds: int = 3

@@ -1,0 +1,110 @@
+"""The typed options of a run, and how they are built from plain mappings. YAML is read elsewhere."""
+
+import dataclasses
+import types
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from torchrefrac.features import MatchOptions, SiftOptions
+from torchrefrac.sfm import SfmOptions
+
+T = TypeVar("T")
+ModelName = Literal["none", "radial", "refractive"]
+
+
+class OptionError(ValueError):
+    """An option is unknown, missing or of the wrong type; the message names it."""
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """none: no refraction, lens fixed. radial: no refraction, k1 and k2 refined. refractive: the water, exactly."""
+
+    name: ModelName = "refractive"
+
+
+@dataclass(frozen=True)
+class WaterOptions:
+    """index_ratio n_water / n_air; None takes the one of the capture."""
+
+    index_ratio: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.index_ratio is not None and not 1.0 <= self.index_ratio <= 3.0:
+            raise OptionError(f"water.index_ratio is {self.index_ratio:g}, but must lie between 1 and 3 (water: 1.333)")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Everything that decides how a capture is reconstructed."""
+
+    model: ModelOptions = field(default_factory=ModelOptions)
+    water: WaterOptions = field(default_factory=WaterOptions)
+    features: SiftOptions = field(default_factory=SiftOptions)
+    matching: MatchOptions = field(default_factory=MatchOptions)
+    sfm: SfmOptions = field(default_factory=SfmOptions)
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """An embedded scene by name, or the capture in the folder `path`."""
+
+    name: str
+    path: str | None = None
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """A run from the command line: a scene, how to reconstruct it, and the folder for the results."""
+
+    scene: SceneOptions
+    reconstruction: Options
+    out: str
+
+
+def build(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
+    """An instance of the dataclass `cls` from nested plain values, strictly.
+
+    Raises OptionError that names the option (dotted) for an unknown or missing one, or one of the wrong type. A whole
+    number serves where a float is wanted.
+    """
+    hints = get_type_hints(cls)
+    fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    for name in values:
+        if name not in fields:
+            raise OptionError(f"{_join(path, name)} is not an option; known here are {', '.join(fields)}")
+    arguments = {}
+    for name, described in fields.items():
+        if name in values:
+            arguments[name] = _convert(hints[name], values[name], _join(path, name))
+        elif described.default is dataclasses.MISSING and described.default_factory is dataclasses.MISSING:
+            raise OptionError(f"{_join(path, name)} is missing")
+    return cls(**arguments)
+
+
+def _convert(hint: Any, value: Any, path: str) -> Any:
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        if not isinstance(value, Mapping):
+            raise OptionError(f"{path} is {value!r}, but must be a group of options")
+        return build(hint, value, path)
+    origin = get_origin(hint)
+    if origin is Literal:
+        choices = get_args(hint)
+        if value not in choices:
+            raise OptionError(f"{path} is {value!r}, but must be one of {', '.join(map(str, choices))}")
+        return value
+    if origin in (Union, types.UnionType):
+        inner = [option for option in get_args(hint) if option is not type(None)]
+        return None if value is None else _convert(inner[0], value, path)
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
+        names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+        raise OptionError(f"{path} is {value!r}, but must be {names.get(hint, hint.__name__)}")
+    return value
+
+
+def _join(path: str, name: str) -> str:
+    return f"{path}.{name}" if path else name

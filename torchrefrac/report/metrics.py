@@ -1,0 +1,72 @@
+"""Figures about a reconstruction, alone and against truth. Units are in the keys."""
+
+import torch
+from torch import Tensor
+
+from torchrefrac.geometry import Similarity, align_above_plane, align_similarity, so3_log
+from torchrefrac.scene import Reconstruction, Truth
+
+MIN_SIMILARITY_CAMERAS = 3
+
+
+def summarize(reconstruction: Reconstruction) -> dict[str, float | int | str]:
+    """What can be said without truth."""
+    errors = reconstruction.reprojection_errors()
+    count = len(errors)
+    return {
+        "images": len(reconstruction.names),
+        "registered_images": int(reconstruction.registered.sum()),
+        "points": len(reconstruction.points),
+        "observations": count,
+        "reprojection_median_px": float(errors.median()) if count else 0.0,
+        "reprojection_rms_px": float(errors.square().mean().sqrt()) if count else 0.0,
+        "index_ratio": reconstruction.index_ratio,
+    }
+
+
+def evaluate(reconstruction: Reconstruction, truth: Truth) -> tuple[dict[str, float | int | str], Similarity | None]:
+    """Errors of cameras and points after aligning the cameras to the true ones, and that alignment.
+
+    Refractive: 4-dof alignment, which leaves water plane and vertical alone. Without refraction: the full similarity,
+    as in the paper's Table 1. An alignment that the number of common cameras does not determine gives no figures.
+    """
+    common = [(i, truth.names.index(name)) for i, name in enumerate(reconstruction.names) if name in truth.names]
+    rows = [(i, j) for i, j in common if bool(reconstruction.registered[i])]
+    refractive = reconstruction.index_ratio > 1.0
+    if len(rows) < (2 if refractive else MIN_SIMILARITY_CAMERAS):
+        return {"alignment": "none: too few registered cameras"}, None
+    ours, theirs = (torch.tensor(column) for column in zip(*rows, strict=True))
+    align = align_above_plane if refractive else align_similarity
+    alignment = align(reconstruction.center[ours], truth.center[theirs])
+    distance = (alignment.apply(reconstruction.center[ours]) - truth.center[theirs]).norm(dim=-1)
+    turned = alignment.apply_to_rotation(reconstruction.rotation[ours])
+    angle = so3_log(turned @ truth.rotation[theirs].mT).norm(dim=-1) * 180.0 / torch.pi
+    unit = truth.length_unit
+    metrics: dict[str, float | int | str] = {
+        "alignment": "4-dof" if refractive else "similarity",
+        f"camera_rms_{unit}": _rms(distance),
+        f"camera_max_{unit}": float(distance.max()),
+        "camera_rotation_rms_deg": _rms(angle),
+    }
+    if len(truth.corner) and len(reconstruction.points):
+        surface = distance_to_rectangles(alignment.apply(reconstruction.points), truth)
+        metrics |= {
+            f"surface_median_{unit}": float(surface.median()),
+            f"surface_rms_{unit}": _rms(surface),
+            f"surface_p95_{unit}": float(surface.quantile(0.95)),
+        }
+    return metrics, alignment
+
+
+def distance_to_rectangles(points: Tensor, truth: Truth) -> Tensor:
+    """Distance (N) of points (N, 3) to the nearest true rectangle."""
+    offset = points[:, None] - truth.corner
+    along1, along2 = (
+        ((offset * edge).sum(dim=-1) / edge.square().sum(dim=-1)).clamp(0.0, 1.0) for edge in (truth.edge1, truth.edge2)
+    )
+    nearest = along1[..., None] * truth.edge1 + along2[..., None] * truth.edge2
+    return (offset - nearest).norm(dim=-1).amin(dim=-1)
+
+
+def _rms(values: Tensor) -> float:
+    return float(values.square().mean().sqrt())

@@ -1,0 +1,99 @@
+"""The folder that a run leaves behind: results of every finished stage, and metrics.json that says how far it got."""
+
+import json
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchrefrac.features import Features
+from torchrefrac.geometry import Similarity
+from torchrefrac.report.figures import draw_side_views, side_view
+from torchrefrac.scene import Reconstruction, Truth, write_cameras, write_points
+from torchrefrac.scene.atomic import replacing
+from torchrefrac.sfm import VerifiedPair
+
+RESULTS = ("features.npz", "matches.npz", "cameras.json", "points.ply", "side_view.png", "metrics.json")
+
+
+class RunFolder:
+    """Writes each result under a temporary name and renames it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.metrics: dict[str, Any] = {}
+
+    @contextmanager
+    def recording(self, **about: Any) -> Iterator[None]:
+        """Keep metrics.json true: "complete", or "failed" / "interrupted" with the reason and the last stage done.
+
+        Results of an earlier run in the same folder are removed first, so that the folder tells of one run.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        for name in RESULTS:
+            (self.folder / name).unlink(missing_ok=True)
+        start = time.perf_counter()
+        self.metrics = {"status": "running", "stages": [], **about}
+        try:
+            yield
+        except KeyboardInterrupt:
+            self._end("interrupted", start, "stopped by the user")
+            raise
+        except Exception as error:
+            self._end("failed", start, str(error) or type(error).__name__)
+            raise
+        self._end("complete", start)
+
+    def stage_done(self, name: str, product: Any, seconds: float) -> None:
+        """Write what a stage made."""
+        if name == "features":
+            _write_features(product, self.folder / "features.npz")
+        elif name == "matching":
+            _write_matches(product, self.folder / "matches.npz")
+        elif name == "sparse":
+            write_cameras(product, self.folder / "cameras.json")
+            write_points(product.points, product.colors, self.folder / "points.ply")
+        self.metrics["stages"].append(name)
+        self.metrics[f"seconds_{name}"] = round(seconds, 3)
+
+    def complete(
+        self,
+        reconstruction: Reconstruction,
+        metrics: dict[str, Any],
+        truth: Truth | None,
+        aligned: Similarity | None,
+    ) -> None:
+        """Take in the metrics and draw the figure."""
+        self.metrics |= metrics
+        if reconstruction.failures:
+            self.metrics["not_registered"] = dict(reconstruction.failures)
+        view = side_view(self.metrics["model"], reconstruction, aligned, self.metrics)
+        draw_side_views([view], truth if aligned is not None else None, self.folder / "side_view.png")
+
+    def _end(self, status: str, start: float, reason: str = "") -> None:
+        self.metrics["status"] = status
+        if reason:
+            self.metrics["reason"] = reason
+        self.metrics["seconds_total"] = round(time.perf_counter() - start, 3)
+        write_metrics(self.metrics, self.folder)
+
+
+def write_metrics(metrics: dict[str, Any], folder: Path) -> None:
+    """Write `folder`/metrics.json."""
+    with replacing(folder / "metrics.json") as temporary:
+        temporary.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
+
+
+def _write_features(features: Sequence[Features], path: Path) -> None:
+    arrays = {f"pixels_{i:04d}": f.pixels.numpy() for i, f in enumerate(features)}
+    with replacing(path) as temporary:
+        np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
+
+
+def _write_matches(pairs: Sequence[VerifiedPair], path: Path) -> None:
+    arrays = {f"matches_{p.pair.first:04d}_{p.pair.second:04d}": p.pair.matches.numpy() for p in pairs}
+    with replacing(path) as temporary:
+        np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]

@@ -1,0 +1,45 @@
+"""Progress for a person at a terminal; plain lines where the output is not one."""
+
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from typing import TextIO, TypeVar
+
+from torch import Tensor
+from tqdm import tqdm
+
+T = TypeVar("T")
+WIDTH = 100
+
+
+class TerminalRecorder:
+    """Bars with rate and time left on a terminal, one line a stage elsewhere; curves and clouds are not shown."""
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self._stream = stream or sys.stderr
+
+    def scalar(self, name: str, value: float, step: int) -> None: ...
+
+    def cloud(self, name: str, points: Tensor, colors: Tensor, step: int) -> None: ...
+
+    def note(self, text: str) -> None:
+        tqdm.write(text, file=self._stream)
+
+    def track(self, items: Iterable[T], total: int, description: str, unit: str) -> Iterator[T]:
+        if not self._stream.isatty():
+            yield from self._plain(items, total, description, unit)
+            return
+        bar = tqdm(
+            items, desc=f"{description:<12}", total=total, unit=f" {unit}", ncols=WIDTH, file=self._stream,
+            bar_format="{desc}{bar} {n_fmt}/{total_fmt}{unit}  {rate_fmt}  {elapsed}<{remaining}",
+        )  # fmt: skip
+        yield from bar
+
+    def _plain(self, items: Iterable[T], total: int, description: str, unit: str) -> Iterator[T]:
+        start, count = time.perf_counter(), 0
+        for item in items:
+            yield item
+            count += 1
+        seconds = time.perf_counter() - start
+        plural = unit if total == 1 else f"{unit}s"
+        print(f"{description:<12} {count}/{total} {plural} in {seconds:.1f} s", file=self._stream, flush=True)
