@@ -83,7 +83,9 @@ def _summary(metrics: dict[str, Any], unit: str) -> str:
     ]
     lines += [f"not registered: {name} {reason}" for name, reason in metrics.get("not_registered", {}).items()]
     if f"camera_rms_{unit}" in metrics:
-        line = f"against truth ({metrics['alignment']} alignment): cameras {metrics[f'camera_rms_{unit}']:.4f} {unit} RMS"
+        line = (
+            f"against truth ({metrics['alignment']} alignment): cameras {metrics[f'camera_rms_{unit}']:.4f} {unit} RMS"
+        )
         if f"surface_median_{unit}" in metrics:
             line += f", points {metrics[f'surface_median_{unit}']:.4f} {unit} from the surface (median)"
         lines.append(line)

@@ -10,6 +10,7 @@ from torchrefrac.features import MatchOptions, SiftOptions
 from torchrefrac.sfm import SfmOptions
 
 T = TypeVar("T")
+PLAIN = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 ModelName = Literal["none", "radial", "refractive"]
 
 
@@ -100,9 +101,8 @@ def _convert(hint: Any, value: Any, path: str) -> Any:
         return None if value is None else _convert(inner[0], value, path)
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
-    if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
-        names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
-        raise OptionError(f"{path} is {value!r}, but must be {names.get(hint, hint.__name__)}")
+    if type(value) is not hint:
+        raise OptionError(f"{path} is {value!r}, but must be {PLAIN[hint]}")
     return value
 
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -14,7 +13,8 @@ from torchrefrac.scene import Reconstruction, Truth
 from torchrefrac.scene.atomic import replacing
 
 TITLES = {"none": "No refraction", "radial": "Radial distortion", "refractive": "Refraction"}
-WATER, INK, FAINT = "#2b7bba", "#222222", "#8a8a8a"
+WATER, INK, FAINT = "#2b7bba", "#222222", "#c4c4c4"
+PANEL_INCHES = 4.4
 
 
 @dataclass(frozen=True)
@@ -51,42 +51,42 @@ def draw_side_views(views: Sequence[SideView], truth: Truth | None, path: Path) 
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
     from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.lines import Line2D  # noqa: PLC0415
 
     across = _across(truth)
     low, high = _height_range(views, truth)
-    figure = Figure(figsize=(0.6 + 4.6 * len(views), 4.2), dpi=150, layout="constrained")
+    limits = _limits(views, truth, across)
+    width, height = (end - start for start, end in limits)
+    figure = Figure(figsize=(1.6 + PANEL_INCHES * len(views), 1.7 + PANEL_INCHES * height / width), dpi=150)
+    figure.set_layout_engine("constrained")
     FigureCanvasAgg(figure)
-    panels = figure.subplots(1, len(views), sharex=truth is not None, sharey=truth is not None, squeeze=False)[0]
-    scatter = None
+    panels = figure.subplots(1, len(views), sharex=True, sharey=True, squeeze=False)[0]
     for panel, view in zip(panels, views, strict=True):
-        horizontal = (view.points[:, :2] @ across).numpy()
-        height = view.points[:, 2].numpy()
-        scatter = panel.scatter(
-            horizontal, height, c=height, s=2.0, cmap="jet_r", vmin=low, vmax=high, linewidths=0, rasterized=True
-        )
+        if truth is not None:
+            _draw_planes(panel, truth, across)
+        z = view.points[:, 2].numpy()
+        dots = panel.scatter(
+            (view.points[:, :2] @ across).numpy(), z, c=z, s=2.5, cmap="jet_r", vmin=low, vmax=high, linewidths=0,
+            zorder=3,
+        )  # fmt: skip
         panel.plot((view.centers[:, :2] @ across).numpy(), view.centers[:, 2].numpy(), "^", ms=5, mfc="none", mec=INK)
         if view.has_water:
             panel.axhline(0.0, color=WATER, lw=1.2)
-            panel.annotate(
-                "water surface", (0.99, 0.0), (0, 3), xycoords=("axes fraction", "data"),
-                textcoords="offset points", ha="right", color=WATER, fontsize=8,
-            )  # fmt: skip
-        if truth is not None:
-            _draw_planes(panel, truth, across)
-        panel.set_title(view.title, fontsize=12)
-        panel.set_xlabel(f"{view.caption}\nhorizontal ({view.length_unit})", fontsize=9)
-        panel.set_aspect("equal", adjustable="box" if truth is not None else "datalim")
+        panel.set(xlim=limits[0], ylim=limits[1], aspect="equal")
+        panel.set_title(view.title, fontsize=13)
+        panel.set_xlabel(f"horizontal ({view.length_unit})\n{view.caption}", fontsize=10)
         panel.tick_params(labelsize=8)
-    panels[0].set_ylabel(f"height above the water ({views[0].length_unit})", fontsize=9)
+    unit = views[0].length_unit
+    panels[0].set_ylabel(f"height above the water ({unit})", fontsize=10)
+    bar = figure.colorbar(dots, ax=list(panels), pad=0.01, aspect=30)
+    bar.set_label(f"height ({unit})", fontsize=10)
+    bar.ax.tick_params(labelsize=8)
+    handles = [Line2D([], [], marker="^", ls="", mfc="none", mec=INK, label="cameras")]
+    if any(view.has_water for view in views):
+        handles.append(Line2D([], [], color=WATER, label="water surface"))
     if truth is not None:
-        _limit(panels[0], truth, across)
-        panels[0].plot([], [], "-", color=INK, lw=1.0, label="true planes")
-    panels[0].plot([], [], "^", ms=5, mfc="none", mec=INK, label="cameras")
-    panels[0].legend(loc="lower left", fontsize=8, frameon=True, framealpha=0.85, edgecolor="none")
-    if scatter is not None:
-        bar = figure.colorbar(scatter, ax=list(panels), shrink=0.8, pad=0.01)
-        bar.set_label(f"height ({views[0].length_unit})", fontsize=9)
-        bar.ax.tick_params(labelsize=8)
+        handles.append(Line2D([], [], color=FAINT, lw=3, label="true planes"))
+    figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=9, frameon=False)
     with replacing(path) as temporary:
         figure.savefig(temporary)
 
@@ -120,14 +120,20 @@ def _corners(truth: Truth) -> Tensor:
 def _draw_planes(panel: Any, truth: Truth, across: Tensor) -> None:
     for corners in _corners(truth):
         closed = torch.cat((corners, corners[:1]))
-        panel.plot((closed[:, :2] @ across).numpy(), closed[:, 2].numpy(), "-", color=INK, lw=1.0)
+        panel.plot((closed[:, :2] @ across).numpy(), closed[:, 2].numpy(), "-", color=FAINT, lw=3.0, zorder=1)
 
 
-def _limit(panel: Any, truth: Truth, across: Tensor) -> None:
-    """Show the true scene and cameras with a margin, whatever strays."""
-    corners = _corners(truth).flatten(0, 1)
-    horizontal = torch.cat((corners[:, :2], truth.center[:, :2])) @ across
-    vertical = torch.cat((corners[:, 2], truth.center[:, 2]))
-    for values, limit in ((horizontal, panel.set_xlim), (vertical, panel.set_ylim)):
-        margin = 0.08 * float(values.max() - values.min())
-        limit(*np.array((float(values.min()) - margin, float(values.max()) + margin)))
+def _limits(views: Sequence[SideView], truth: Truth | None, across: Tensor) -> list[tuple[float, float]]:
+    """Horizontal and vertical range: cameras, true planes, and all but the most stray points of every panel."""
+    shown = [view.centers for view in views] + ([_corners(truth).flatten(0, 1)] if truth is not None else [])
+    for view in views:
+        if len(view.points):
+            edges = torch.tensor((0.01, 0.99), dtype=view.points.dtype)
+            shown.append(view.points.quantile(edges, dim=0))
+    every = torch.cat((*shown, torch.zeros(1, 3, dtype=torch.float64)))
+    limits = []
+    for values in (every[:, :2] @ across, every[:, 2]):
+        low, high = float(values.min()), float(values.max())
+        margin = 0.06 * max(high - low, 1e-6)
+        limits.append((low - margin, high + margin))
+    return limits

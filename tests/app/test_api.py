@@ -1,0 +1,29 @@
+"""The public surface, and what importing it must not do."""
+
+import subprocess
+import sys
+
+import torchrefrac
+
+PUBLIC = {
+    "Capture", "FlatInterface", "Intrinsics", "Options", "Reconstruction", "RefractiveCamera",
+    "load_capture", "minimal", "reconstruct", "solve_refrax",
+}  # fmt: skip
+
+
+def test_the_public_names_are_these():
+    assert set(torchrefrac.__all__) == PUBLIC
+    assert all(hasattr(torchrefrac, name) for name in PUBLIC)
+
+
+def test_importing_the_package_loads_no_heavy_extra():
+    heavy = ("hydra", "omegaconf", "kornia", "tensorboard", "matplotlib", "trimesh")
+    code = f"import sys, torchrefrac; print([name for name in {heavy} if name in sys.modules])"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stdout.strip() == "[]"
+
+
+def test_a_capture_reconstructs_without_the_command_line(small_tank):
+    reconstruction = torchrefrac.reconstruct(torchrefrac.load_capture(small_tank))
+    assert bool(reconstruction.registered.all())
+    assert float(reconstruction.reprojection_errors().median()) < 0.2

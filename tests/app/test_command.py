@@ -1,0 +1,148 @@
+"""The command line as a person uses it: exit status, sentences, and the files that are left."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from torchrefrac import pipeline
+from torchrefrac.scene import load_cameras, load_points
+
+RESULTS = {"cameras.json", "points.ply", "metrics.json", "side_view.png", "features.npz", "matches.npz"}
+
+
+def test_a_run_leaves_the_promised_files_and_a_right_reconstruction(torchrefrac, small_tank, metrics):
+    ended = torchrefrac("scene=capture", f"scene.path={small_tank}", "out=run")
+    assert (ended.status, ended.err.count("error")) == (0, 0)
+    assert "4 of 4 images registered" in ended.out
+    run = small_tank.parent / "run"
+    assert {p.name for p in run.iterdir()} == RESULTS | {"events", ".hydra"}
+    found = metrics(run)
+    assert found["status"] == "complete"
+    assert found["stages"] == ["features", "matching", "sparse"]
+    assert found["registered_images"] == 4
+    assert found["camera_rms_cm"] < 0.05
+    assert found["surface_median_cm"] < 0.1
+    points, colors = load_points(run / "points.ply")
+    assert len(points) == found["points"] > 1000
+    assert colors.float().std() > 10
+    assert (points[:, 2] < 0).all()
+    reconstruction = load_cameras(run / "cameras.json")
+    assert reconstruction.center[0].tolist() == pytest.approx([0.0, 0.0, 30.0], abs=1e-9)
+    events = EventAccumulator(str(run / "events"), size_guidance={"tensors": 1}).Reload()
+    assert {"adjustment/cost", "verification/inliers", "registration/images"} <= set(events.Tags()["scalars"])
+    assert any(tag.startswith("sparse") for tag in events.Tags()["tensors"])
+
+
+def test_the_same_seed_gives_the_same_cameras(torchrefrac, small_tank):
+    files = []
+    for name in ("first", "second"):
+        torchrefrac("scene=capture", f"scene.path={small_tank}", f"out={name}")
+        files.append((small_tank.parent / name / "cameras.json").read_bytes())
+    assert files[0] == files[1]
+
+
+def test_a_multirun_over_the_models_ends_with_table_and_figure(torchrefrac, small_tank, metrics):
+    ended = torchrefrac("-m", "scene=capture", f"scene.path={small_tank}", "model=none,refractive", "out=both")
+    assert ended.status == 0
+    both = small_tank.parent / "both"
+    assert {p.name for p in both.iterdir()} == {"0_none", "1_refractive", "figure1.png", "table1.md", "multirun.yaml"}
+    none, refractive = metrics(both / "0_none"), metrics(both / "1_refractive")
+    assert none["camera_rms_cm"] > 10 * refractive["camera_rms_cm"]
+    assert none["alignment"] == "similarity"
+    assert refractive["alignment"] == "4-dof"
+    table = (both / "table1.md").read_text()
+    assert table.strip() in ended.out
+    assert "No refraction" in table
+    assert "Refraction" in table
+    assert cv2.imread(str(both / "figure1.png")).std() > 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["scene=capture"], "scene.path is missing; give it on the command line as scene.path=VALUE"),
+        (["scene=capture", "scene.path=nowhere"], "nowhere is not a folder"),
+        (["water.index_ratio=0.5"], "water.index_ratio is 0.5, but must lie between 1 and 3"),
+        (["sfm.max_error=big"], "sfm.max_error is 'big', but must be a number"),
+        (["model.name=best"], "model.name is 'best', but must be one of none, radial, refractive"),
+    ],
+)
+def test_bad_input_is_one_sentence_a_failed_status_and_no_results(torchrefrac, metrics, tmp_path, arguments, sentence):
+    ended = torchrefrac(*arguments, "out=run")
+    assert ended.status == 1
+    assert f"error: {sentence}" in ended.err
+    assert "Traceback" not in ended.err
+    assert metrics(tmp_path / "run")["status"] == "failed"
+    assert sentence in metrics(tmp_path / "run")["reason"]
+    assert not RESULTS - {"metrics.json"} & {p.name for p in (tmp_path / "run").iterdir()}
+
+
+def test_an_unknown_scene_or_option_does_not_start(torchrefrac):
+    for argument in ("scene=pond", "sfm.max_eror=3"):
+        assert torchrefrac(argument, "out=run").status == 1
+
+
+def test_images_without_texture_make_no_pair(torchrefrac, small_tank, metrics):
+    for path in (small_tank / "images").iterdir():
+        cv2.imwrite(str(path), np.full((480, 640, 3), 127, dtype=np.uint8))
+    ended = torchrefrac("scene=capture", f"scene.path={small_tank}", "out=run")
+    assert ended.status == 1
+    assert "error: no pair of images has 20 matches that agree on a pose" in ended.err
+    run = small_tank.parent / "run"
+    assert metrics(run)["stages"] == ["features"]
+    assert (run / "features.npz").is_file()
+    assert not (run / "cameras.json").exists()
+
+
+def test_an_image_that_cannot_be_registered_is_named_and_the_others_are_reconstructed(torchrefrac, small_tank, metrics):
+    cv2.imwrite(str(small_tank / "images" / "cam02.jpg"), np.full((480, 640, 3), 127, dtype=np.uint8))
+    ended = torchrefrac("scene=capture", f"scene.path={small_tank}", "out=run")
+    assert ended.status == 0
+    assert "not registered: cam02.jpg sees only 0 reconstructed points" in ended.out
+    found = metrics(small_tank.parent / "run")
+    assert (found["images"], found["registered_images"]) == (4, 3)
+    assert list(found["not_registered"]) == ["cam02.jpg"]
+    entry = json.loads((small_tank.parent / "run" / "cameras.json").read_text())["images"][2]
+    assert entry["registered"] is False
+
+
+def test_two_images_are_enough(torchrefrac, part_of_tank, tmp_path, metrics):
+    folder = part_of_tank([0, 3])
+    assert torchrefrac("scene=capture", f"scene.path={folder}", "out=run").status == 0
+    assert metrics(tmp_path / "run")["registered_images"] == 2
+
+
+def test_an_interrupt_leaves_the_finished_stages(torchrefrac, small_tank, metrics, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pipeline, "reconstruct_sparse", interrupted)
+    ended = torchrefrac("scene=capture", f"scene.path={small_tank}", "out=run")
+    assert ended.status == 130
+    run = small_tank.parent / "run"
+    assert metrics(run)["status"] == "interrupted"
+    assert metrics(run)["stages"] == ["features", "matching"]
+    assert {"features.npz", "matches.npz"} <= {p.name for p in run.iterdir()}
+    assert not (run / "cameras.json").exists()
+    assert not list(run.glob(".*partial*"))
+
+
+def test_a_failed_job_of_a_multirun_does_not_stop_the_others(torchrefrac, small_tank, metrics):
+    ended = torchrefrac("-m", "scene=capture", f"scene.path={small_tank}", "water.index_ratio=0.5,1.33", "out=runs")
+    assert ended.status == 1
+    runs = sorted(p for p in (small_tank.parent / "runs").iterdir() if p.is_dir())
+    assert [metrics(run)["status"] for run in runs] == ["failed", "complete"]
+
+
+def test_the_installed_command_answers():
+    command = shutil.which("torchrefrac") or [sys.executable, "-m", "torchrefrac"]
+    command = [command] if isinstance(command, str) else command
+    ended = subprocess.run([*command, "--help"], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0
+    assert "tank_small" in ended.stdout

@@ -1,0 +1,61 @@
+"""Whole sparse runs as a user starts them: accuracy against truth, wall time and peak memory.
+
+    python tools/bench/sparse.py [CAPTURE_FOLDER ...]
+
+Runs every model on the embedded scene and on the captures given, each in a process of its own, and prints a table.
+The radial and no-refraction models are the peers: the last column is their camera error over the refractive one.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+MODELS = ("none", "radial", "refractive")
+HEADER = (
+    f"{'scene':<12} {'model':<11} {'images':>7} {'points':>7} {'camera RMS':>12} {'seconds':>8} {'GiB':>5} {'ratio':>6}"
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Sparse reconstruction: accuracy, time and memory.")
+    parser.add_argument("captures", nargs="*", type=Path, help="folders with capture.json and truth.json")
+    scenes = [["scene=tank_small"], *(["scene=capture", f"scene.path={p}"] for p in parser.parse_args().captures)]
+    print(HEADER)
+    for scene in scenes:
+        results = {model: _run(scene, model) for model in MODELS}
+        name = Path(scene[-1].split("=")[1]).name
+        best = _camera_rms(results["refractive"])[0]
+        for model, m in results.items():
+            error, unit = _camera_rms(m)
+            print(
+                f"{name:<12} {model:<11} {m['registered_images']:>3}/{m['images']:<3} {m['points']:>7} "
+                f"{error:>9.4f} {unit} {m['wall']:>8.1f} {m['peak']:>5.2f} {error / best:>6.0f}x"
+            )
+
+
+def _run(scene: list[str], model: str) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "torchrefrac", *scene, f"model={model}", f"out={folder}"]
+        start = time.perf_counter()
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        _, status, usage = os.wait4(process.pid, 0)
+        wall = time.perf_counter() - start
+        if status != 0:
+            sys.exit(f"{' '.join(command)} ended with status {os.waitstatus_to_exitcode(status)}")
+        metrics = json.loads((Path(folder) / "metrics.json").read_text(encoding="utf-8"))
+    return metrics | {"wall": wall, "peak": usage.ru_maxrss / 2**20}
+
+
+def _camera_rms(metrics: dict[str, Any]) -> tuple[float, str]:
+    key = next(key for key in metrics if key.startswith("camera_rms_"))
+    return metrics[key], key.removeprefix("camera_rms_")
+
+
+if __name__ == "__main__":
+    main()

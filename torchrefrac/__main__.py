@@ -1,0 +1,5 @@
+"""`python -m torchrefrac`."""
+
+from torchrefrac.cli import main
+
+main()
