@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
+# See torchrefrac/launch.py: waiting OpenMP threads must not starve other processes.
+export OMP_WAIT_POLICY ?= PASSIVE
+
 .PHONY: demo test test-slow lint bench clean
 
 demo: $(READY)

@@ -1,5 +1,5 @@
 """`python -m torchrefrac`."""
 
-from torchrefrac.cli import main
+from torchrefrac.launch import main
 
 main()

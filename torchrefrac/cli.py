@@ -30,7 +30,7 @@ _failed: list[str] = []
 
 
 def main() -> None:
-    """Entry point of the `torchrefrac` command."""
+    """Run the command that is in sys.argv; exits with 1 where a job failed, 130 where it was interrupted."""
     _failed.clear()
     try:
         _hydra_main()

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 import torchrefrac
 
 PUBLIC = {
@@ -14,11 +16,17 @@ PUBLIC = {
 def test_the_public_names_are_these():
     assert set(torchrefrac.__all__) == PUBLIC
     assert all(hasattr(torchrefrac, name) for name in PUBLIC)
+    assert set(dir(torchrefrac)) >= PUBLIC
 
 
-def test_importing_the_package_loads_no_heavy_extra():
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="has no attribute 'refract'"):
+        torchrefrac.refract  # noqa: B018
+
+
+def test_using_the_package_loads_no_heavy_extra():
     heavy = ("hydra", "omegaconf", "kornia", "tensorboard", "matplotlib", "trimesh")
-    code = f"import sys, torchrefrac; print([name for name in {heavy} if name in sys.modules])"
+    code = f"import sys; from torchrefrac import *; print([name for name in {heavy} if name in sys.modules])"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stdout.strip() == "[]"
 

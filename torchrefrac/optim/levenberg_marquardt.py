@@ -99,7 +99,8 @@ def minimize(
                 return MinimizeReport(state, "converged", iteration, costs)
             linearization = problem.linearize(state)
         else:
-            if bool(step.solved) and 0.0 <= predicted <= options.function_tolerance * cost:
+            first_try = growth == 2.0  # later ones are damped so much that a small prediction says nothing
+            if first_try and bool(step.solved) and 0.0 <= predicted <= options.function_tolerance * cost:
                 return MinimizeReport(state, "converged", iteration, costs)
             damping *= growth
             growth *= 2.0

@@ -38,9 +38,9 @@ class RansacOptions:
 
     max_error: float = 4.0
     confidence: float = 0.9999
-    batch_size: int = 64
-    min_samples: int = 64
-    max_samples: int = 10_000
+    batch_size: int = 128
+    min_samples: int = 128
+    max_samples: int = 3072
     refits: int = 5
     min_inliers: int = 12
 
@@ -75,10 +75,11 @@ def ransac(estimator: Estimator, options: RansacOptions, generator: torch.Genera
     best = _Best()
     drawn, wanted = 0, options.max_samples
     while drawn < max(wanted, options.min_samples) and drawn < options.max_samples:
-        keys = torch.rand(options.batch_size, estimator.num_data, generator=generator)
+        count = min(options.batch_size, options.max_samples - drawn)
+        keys = torch.rand(count, estimator.num_data, generator=generator)
         samples = keys.topk(estimator.sample_size, dim=-1).indices
         models, valid = estimator.solve(samples)
-        drawn += options.batch_size
+        drawn += count
         if best.improve(estimator, models[valid], options.max_error):
             _refit(best, estimator, options)
             wanted = _samples_needed(best.num_inliers / estimator.num_data, estimator.sample_size, options)
@@ -100,6 +101,8 @@ class _Best:
 
     def improve(self, estimator: Estimator, models: Tensor, max_error: float) -> bool:
         """Take the best of `models` (H, D) if it beats this one."""
+        if not len(models):
+            return False
         limit = max_error * max_error
         chunk = max(1, SCORE_ELEMENTS // estimator.num_data)
         improved = False

@@ -13,6 +13,7 @@ from torchrefrac.sfm.pose import PairPose
 from torchrefrac.sfm.rays import triangulate_rays
 
 ROUNDS = 2
+MAX_MATCHES = 400
 SOLVER = LevenbergMarquardtOptions(max_iterations=8, function_tolerance=1e-3)
 
 
@@ -31,6 +32,7 @@ def refine_pair(
     """Two-view bundle adjustment from a rough pose: rotation (2, 3, 3), center (2, 3), pixels (N, 2) twice.
 
     `inliers` (N) start it; afterwards a match is an inlier when its point reprojects within max_error in both images.
+    The adjustment takes MAX_MATCHES of them, evenly: more do not change the verdict on the rest.
     """
     both = torch.stack(pixels, dim=1)
     present = torch.ones(both.shape[:2], dtype=torch.bool)
@@ -38,7 +40,7 @@ def refine_pair(
     for _ in range(ROUNDS):
         camera = _cameras(intrinsics, rotation, center, index_ratio)
         points, _, _ = triangulate_rays(camera, both, present)
-        rows = inliers.nonzero()[:, 0]
+        rows = _thin(inliers.nonzero()[:, 0])
         report = adjust(
             BundleState(rotation, center, points[rows], intrinsics),
             camera=torch.arange(2).repeat(len(rows)),
@@ -59,6 +61,12 @@ def refine_pair(
             break
     median = float(angle[inliers].median()) if bool(inliers.any()) else 0.0
     return PairPose(rotation, center, inliers, points, median)
+
+
+def _thin(rows: Tensor) -> Tensor:
+    if len(rows) <= MAX_MATCHES:
+        return rows
+    return rows[torch.linspace(0, len(rows) - 1, MAX_MATCHES, dtype=torch.float64).round().long()]
 
 
 def _cameras(intrinsics: Intrinsics, rotation: Tensor, center: Tensor, index_ratio: Tensor) -> RefractiveCamera:
