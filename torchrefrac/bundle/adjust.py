@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from torchrefrac.bundle.gravity import GravityPrior
 from torchrefrac.bundle.problem import RADIAL_TERMS, BundleProblem, BundleState
 from torchrefrac.optim import LevenbergMarquardtOptions, MinimizeReport, SchurPlan, minimize
 
@@ -32,15 +33,14 @@ def adjust(
     pixels: Tensor,
     index_ratio: Tensor,
     options: BundleOptions,
-    down_in_cam: Tensor | None = None,
-    down_sigma: float = 1.0,
+    gravity: GravityPrior | None = None,
     callback: Callable[[int, float], None] | None = None,
 ) -> BundleReport:
     """Minimise reprojection error over all cameras and points of `state`.
 
-    camera, point (N): ids into the state, points ascending, a pair at most once; pixels (N, 2). Gravity is a soft prior
-    where given: unit down_in_cam (m, 3) with down_sigma in radians. The gauge is free: the result is as near to the
-    start as the data allow (4 degrees of freedom, 7 at index ratio 1); scale and place are the caller's to fix.
+    camera, point (N): ids into the state, points ascending, a pair at most once; pixels (N, 2). The gauge is free: the
+    result is as near to the start as the data allow (4 degrees of freedom, 7 at index ratio 1); scale and place are the
+    caller's to fix.
     """
     num_shared = RADIAL_TERMS if options.refine_radial else 0
     plan = SchurPlan.create(camera, point, len(state.center), len(state.points), num_shared)
@@ -50,9 +50,7 @@ def adjust(
         index_ratio=index_ratio,
         loss_scale=options.loss_scale,
         pixel_sigma=options.pixel_sigma,
-        down_in_cam=down_in_cam,
-        down_sigma=down_sigma,
-        refine_radial=options.refine_radial,
+        gravity=gravity,
         free_gauge=True,
     )
     return minimize(problem, state, options.solver, callback)
@@ -63,8 +61,7 @@ def adjust_pose(
     pixels: Tensor,
     index_ratio: Tensor,
     options: BundleOptions,
-    down_in_cam: Tensor | None = None,
-    down_sigma: float = 1.0,
+    gravity: GravityPrior | None = None,
 ) -> BundleReport:
     """Minimise the reprojection error of one camera (m = 1) that sees all points of `state`, held fixed."""
     count = len(state.points)
@@ -80,9 +77,7 @@ def adjust_pose(
         index_ratio=index_ratio,
         loss_scale=options.loss_scale,
         pixel_sigma=options.pixel_sigma,
-        down_in_cam=down_in_cam,
-        down_sigma=down_sigma,
-        refine_radial=False,
+        gravity=gravity,
         free_gauge=False,
     )
     return minimize(problem, state, options.solver)

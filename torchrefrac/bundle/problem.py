@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from torchrefrac.bundle.gauge import gauge_directions
+from torchrefrac.bundle.gravity import GravityPrior
 from torchrefrac.camera import Intrinsics, RefractiveCamera, project_with_jacobians
-from torchrefrac.geometry import skew, so3_exp
+from torchrefrac.geometry import so3_exp
 from torchrefrac.optim import NormalEquations, SchurPlan, Step, huber
 from torchrefrac.refraction import FlatInterface
 
@@ -29,9 +30,9 @@ class BundleState:
 class BundleProblem:
     """Observations `pixels` (N, 2) of point `plan.point` by camera `plan.camera`.
 
-    index_ratio: scalar tensor. down_in_cam (m, 3) and down_sigma (radians) of the gravity prior, None: no prior.
-    loss_scale (pixels) of the Huber loss; pixel_sigma (pixels) weighs pixels against the prior.
-    refine_radial: k1 and k2 vary. fixed_points: the points are constants.
+    index_ratio: scalar tensor. loss_scale (pixels) of the Huber loss; pixel_sigma (pixels) weighs pixels against the
+    gravity prior, if there is one. The plan decides what varies: no points in it, and they are constants; shared
+    unknowns in it, and they are the first radial terms of the lens. free_gauge: keep steps clear of the gauge.
     """
 
     plan: SchurPlan
@@ -39,9 +40,7 @@ class BundleProblem:
     index_ratio: Tensor
     loss_scale: float
     pixel_sigma: float
-    down_in_cam: Tensor | None
-    down_sigma: float
-    refine_radial: bool
+    gravity: GravityPrior | None
     free_gauge: bool
 
     @property
@@ -60,10 +59,10 @@ class BundleProblem:
         residual, valid = self.residuals(state)
         rho, _ = huber(residual.square().sum(dim=-1), self.loss_scale)
         impossible, _ = huber(residual.new_tensor(IMPOSSIBLE_PX**2), self.loss_scale)
-        total = torch.where(valid, rho, impossible).sum()
-        if self.down_in_cam is not None:
-            total = total + self._prior_weight * (-state.rotation[..., 2] - self.down_in_cam).square().sum()
-        return 0.5 * total
+        total = 0.5 * torch.where(valid, rho, impossible).sum()
+        if self.gravity is not None:
+            total = total + self.gravity.cost(state.rotation, self.pixel_sigma)
+        return total
 
     def linearize(self, state: BundleState) -> NormalEquations:
         plan = self.plan
@@ -80,8 +79,8 @@ class BundleProblem:
             by.distortion[..., : plan.num_shared],
             torch.where(valid, weight, 0.0),
         )
-        if self.down_in_cam is not None:
-            system = self._add_gravity(system, state.rotation)
+        if self.gravity is not None:
+            system = self.gravity.add_to(system, state.rotation, self.pixel_sigma)
         if self.free_gauge:
             gauge = gauge_directions(state.rotation, state.center, plan.num_shared, self.refractive)
             system = replace(system, null_space=gauge)
@@ -100,20 +99,3 @@ class BundleProblem:
             points=state.points + step.point if self.plan.num_points else state.points,
             intrinsics=intrinsics,
         )
-
-    @property
-    def _prior_weight(self) -> float:
-        return (self.pixel_sigma / self.down_sigma) ** 2
-
-    def _add_gravity(self, system: NormalEquations, rotation: Tensor) -> NormalEquations:
-        """Residual (R (0, 0, -1) - down_in_cam) / sigma per camera; its derivative in w is -[R (0, 0, -1)]x."""
-        m = self.plan.num_cameras
-        predicted = -rotation[..., 2]
-        jacobian = -skew(predicted)
-        error = predicted - self.down_in_cam
-        hessian, gradient = system.hessian.clone(), system.gradient.clone()
-        cameras = torch.arange(m, device=hessian.device)
-        grid = hessian[: 6 * m, : 6 * m].view(m, 6, m, 6)
-        grid[cameras, :3, cameras, :3] += self._prior_weight * (jacobian.mT @ jacobian)
-        gradient[: 6 * m].view(m, 6)[:, :3] += self._prior_weight * (jacobian.mT @ error[..., None])[..., 0]
-        return replace(system, hessian=hessian, gradient=gradient)

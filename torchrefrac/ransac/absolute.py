@@ -7,8 +7,6 @@ from torchrefrac.geometry import heading_rotation
 from torchrefrac.minimal import absolute_pose_2pt, absolute_pose_lsqi
 from torchrefrac.ransac.relative import level_rays, plane_error
 
-MIN_REFIT = 3
-
 
 class AbsolutePoseEstimator:
     """Models are (heading, c_x, c_y, c_z) of a camera that sees known points.
@@ -36,8 +34,6 @@ class AbsolutePoseEstimator:
 
     def refit(self, model: Tensor, inliers: Tensor) -> tuple[Tensor, Tensor]:
         """Weighted by the inverse distance to the camera, which turns metric errors into angles."""
-        if int(inliers.sum()) < MIN_REFIT:
-            return model[None], torch.zeros(1, dtype=torch.bool, device=model.device)
         points = self._points[inliers]
         weights = (points - model[1:]).norm(dim=-1).clamp(min=torch.finfo(points.dtype).eps).reciprocal()
         heading, center, valid = absolute_pose_lsqi(self._rays[inliers], points, self._index_ratio, weights)

@@ -28,7 +28,10 @@ class Estimator(Protocol):
         ...
 
     def refit(self, model: Tensor, inliers: Tensor) -> tuple[Tensor, Tensor]:
-        """Candidates fitted to all `inliers` (num_data) of `model` (D): models (M, D), valid (M)."""
+        """Candidates fitted to all `inliers` (num_data) of `model` (D): models (M, D), valid (M).
+
+        Asked only with more inliers than a sample has.
+        """
         ...
 
 
@@ -121,7 +124,7 @@ class _Best:
 
 def _refit(best: _Best, estimator: Estimator, options: RansacOptions) -> None:
     for _ in range(options.refits):
-        if best.model is None or best.inliers is None or best.num_inliers < estimator.sample_size:
+        if best.model is None or best.inliers is None or best.num_inliers <= estimator.sample_size:
             return
         models, valid = estimator.refit(best.model, best.inliers)
         if not best.improve(estimator, models[valid], options.max_error):

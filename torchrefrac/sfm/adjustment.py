@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import torch
 
-from torchrefrac.bundle import BundleOptions, BundleState, adjust
+from torchrefrac.bundle import BundleOptions, BundleState, GravityPrior, adjust
 from torchrefrac.scene import Capture
 from torchrefrac.sfm.model import SparseModel
 
@@ -31,8 +31,7 @@ def adjust_model(
         pixels=tracks.pixels[rows],
         index_ratio=model.index_ratio,
         options=options,
-        down_in_cam=capture.down_in_cam[images] if refractive else None,
-        down_sigma=capture.down_sigma,
+        gravity=GravityPrior(capture.down_in_cam[images], capture.down_sigma) if refractive else None,
         callback=callback,
     )
     rotation, center, points = model.rotation.clone(), model.center.clone(), model.points.clone()

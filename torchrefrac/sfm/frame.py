@@ -5,7 +5,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchrefrac.geometry import Similarity, heading_rotation, split_heading
+from torchrefrac.geometry import Similarity, heading_rotation, level_rotation, split_heading
 from torchrefrac.scene import Capture
 from torchrefrac.sfm.model import SparseModel
 
@@ -44,14 +44,13 @@ def fix_frame(model: SparseModel, capture: Capture) -> SparseModel:
 
 
 def _level(model: SparseModel, capture: Capture, images: Tensor) -> Tensor:
-    """Shortest rotation that takes the mean measured gravity to (0, 0, -1)."""
+    """Rotation of the world that takes the mean measured gravity to (0, 0, -1): the shortest, after half a turn about x
+    where the world stands on its head.
+    """
     down = (model.rotation[images].mT @ capture.down_in_cam[images][..., None])[..., 0].mean(dim=0)
-    down = down / down.norm()
-    up = -down
-    x, y, z = up.unbind()
-    k = 1.0 / (1.0 + z).clamp(min=1e-6)
-    rows = (1.0 - k * x * x, -k * x * y, -x, -k * x * y, 1.0 - k * y * y, -y, x, y, z)
-    return torch.stack(rows).reshape(3, 3)
+    flip = down.new_tensor((1.0, -1.0, -1.0))
+    turn = torch.where(down[2] > 0.0, flip, flip.abs())
+    return level_rotation(flip * turn * down / down.norm()).mT * (flip * turn)
 
 
 def _transform(model: SparseModel, change: Similarity) -> SparseModel:

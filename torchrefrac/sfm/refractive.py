@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchrefrac.bundle import BundleState, adjust_pose
+from torchrefrac.bundle import BundleState, GravityPrior, adjust_pose
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.geometry import heading_rotation, level_rotation
 from torchrefrac.ransac import AbsolutePoseEstimator, RansacOptions, RelativePoseEstimator, ransac
@@ -48,8 +48,7 @@ class RefractiveInitializer:
             self.index_ratio,
             self.options.bundle,
             self.options.ransac.max_error,
-            down,
-            self.capture.down_sigma,
+            GravityPrior(down, self.capture.down_sigma),
         )
 
     def absolute(self, image: int, pixels: Tensor, points: Tensor, generator: torch.Generator) -> Pose | None:
@@ -69,8 +68,7 @@ class RefractiveInitializer:
             intrinsics,
             self.index_ratio,
             self.options,
-            down[None],
-            self.capture.down_sigma,
+            GravityPrior(down[None], self.capture.down_sigma),
         )
 
     def _loose(self) -> RansacOptions:
@@ -86,13 +84,12 @@ def refine_pose(
     intrinsics: Intrinsics,
     index_ratio: Tensor,
     options: SfmOptions,
-    down_in_cam: Tensor | None = None,
-    down_sigma: float = 1.0,
+    gravity: GravityPrior | None = None,
 ) -> Pose:
     """Adjust one camera to its inliers, twice; inliers are then those within ransac.max_error."""
     for _ in range(2):
         state = BundleState(pose.rotation[None], pose.center[None], points[pose.inliers], intrinsics)
-        report = adjust_pose(state, pixels[pose.inliers], index_ratio, options.bundle, down_in_cam, down_sigma)
+        report = adjust_pose(state, pixels[pose.inliers], index_ratio, options.bundle, gravity)
         rotation, center = report.state.rotation[0], report.state.center[0]
         camera = RefractiveCamera(intrinsics, rotation, center, FlatInterface(index_ratio))
         projected, valid = camera.project(points)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchrefrac.bundle import BundleOptions, BundleState, adjust
+from torchrefrac.bundle import BundleOptions, BundleState, GravityPrior, adjust
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.refraction import FlatInterface
@@ -26,8 +26,7 @@ def refine_pair(
     index_ratio: Tensor,
     options: BundleOptions,
     max_error: float,
-    down_in_cam: Tensor | None = None,
-    down_sigma: float = 1.0,
+    gravity: GravityPrior | None = None,
 ) -> PairPose:
     """Two-view bundle adjustment from a rough pose: rotation (2, 3, 3), center (2, 3), pixels (N, 2) twice.
 
@@ -48,8 +47,7 @@ def refine_pair(
             pixels=both[rows].flatten(0, 1),
             index_ratio=index_ratio,
             options=options,
-            down_in_cam=down_in_cam,
-            down_sigma=down_sigma,
+            gravity=gravity,
         )
         rotation, center = report.state.rotation, report.state.center
         camera = _cameras(intrinsics, rotation, center, index_ratio)

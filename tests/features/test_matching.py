@@ -1,0 +1,73 @@
+"""Mutual nearest neighbours that pass the ratio test."""
+
+import math
+
+import pytest
+import torch
+
+from torchrefrac.features import MatchOptions, match, matching
+
+
+@pytest.fixture
+def descriptors(draw):
+    """Two sets of unit descriptors; the first 40 of 60 reappear among the 70 of the other, in disorder and noisy."""
+    first = torch.nn.functional.normalize(draw.uniform(0.0, 1.0, 60, 16), dim=-1)
+    second = torch.nn.functional.normalize(draw.uniform(0.0, 1.0, 70, 16), dim=-1)
+    second[torch.arange(69, 29, -1)] = torch.nn.functional.normalize(first[:40] + 0.1 * draw.normal(40, 16), dim=-1)
+    return first, second
+
+
+@pytest.mark.parametrize("ratio", [0.6, 0.8, 0.95])
+def test_matches_are_those_of_the_definition(descriptors, ratio):
+    first, second = descriptors
+    distance = torch.cdist(first, second)
+    expected = []
+    for row, line in enumerate(distance):
+        order = line.argsort()
+        mutual = int(distance[:, order[0]].argmin()) == row
+        if mutual and line[order[0]] < ratio * line[order[1]]:
+            expected.append([row, int(order[0])])
+
+    found = match(first, second, MatchOptions(ratio))
+
+    assert 0 < len(expected) < 60
+    assert found.tolist() == expected
+
+
+def test_descriptors_that_reappear_are_found(descriptors):
+    found = match(*descriptors, MatchOptions())
+
+    assert len(found) > 10
+    assert (found.sum(dim=1) == 69).double().mean() > 0.9
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 60])
+def test_the_size_of_chunks_changes_nothing(descriptors, monkeypatch, chunk):
+    whole = match(*descriptors, MatchOptions())
+
+    monkeypatch.setattr(matching, "CHUNK", chunk)
+
+    assert torch.equal(match(*descriptors, MatchOptions()), whole)
+
+
+def test_a_descriptor_with_two_equal_partners_has_none():
+    one = torch.eye(4)
+    twice = torch.cat((one, one[:1]))
+
+    assert match(one, twice, MatchOptions()).tolist() == [[1, 1], [2, 2], [3, 3]]
+
+
+def test_of_two_descriptors_with_one_partner_the_nearer_has_it():
+    angle = torch.tensor([0.3, 0.1, 0.2])
+    first = torch.stack((angle.cos(), angle.sin()), dim=-1)
+    second = torch.tensor([[1.0, 0.0], [math.cos(2.0), math.sin(2.0)]])
+
+    assert match(first, second, MatchOptions()).tolist() == [[1, 0]]
+
+
+@pytest.mark.parametrize(("first", "second"), [(0, 5), (5, 0), (0, 0), (5, 1)])
+def test_without_a_nearest_and_a_second_nearest_there_are_no_matches(first, second):
+    found = match(torch.ones(first, 8), torch.ones(second, 8), MatchOptions())
+
+    assert found.shape == (0, 2)
+    assert found.dtype == torch.long

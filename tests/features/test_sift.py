@@ -1,0 +1,112 @@
+"""SIFT keypoints on images of blobs whose places are known."""
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from torchrefrac.features import SiftOptions, extract_sift
+
+SIZE, SPACING = 640, 40
+
+
+@pytest.fixture
+def write_image(tmp_path):
+    """`write_image(array)`: the path of a lossless image file, grey (h, w) or BGR (h, w, 3)."""
+
+    def write(array):
+        path = tmp_path / "image.png"
+        assert cv2.imwrite(str(path), array)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def blobs(draw):
+    """A grey image of Gaussian blobs, bright and dark, and their centres (n, 2): x, y with the first pixel's at 0.5."""
+    grid = torch.arange(SPACING, SIZE - SPACING + 1, SPACING, dtype=torch.float64)
+    centers = torch.cartesian_prod(grid, grid)
+    centers = centers + draw.uniform(-3.0, 3.0, *centers.shape)
+    sigma, sign = draw.uniform(2.0, 6.0, len(centers)), draw.normal(len(centers)).sign()
+    pixel = torch.arange(SIZE, dtype=torch.float64) + 0.5
+    across, down = (torch.exp(-0.5 * ((pixel - centers[:, i, None]) / sigma[:, None]) ** 2) for i in range(2))
+    image = 128.0 + 100.0 * torch.einsum("n,ny,nx->yx", sign, down, across)
+    return image.round().to(torch.uint8).numpy(), centers
+
+
+def test_a_keypoint_lies_within_a_tenth_of_a_pixel_of_its_blob(write_image, blobs):
+    image, centers = blobs
+
+    offset = _offsets(extract_sift(write_image(image), SiftOptions()), centers)
+
+    assert len(offset) >= 0.8 * len(centers)
+    assert offset.norm(dim=-1).median() < 0.05
+    assert (offset.norm(dim=-1) < 0.1).double().mean() > 0.95
+
+
+def test_keypoints_are_not_shifted_as_a_whole(write_image, blobs):
+    """OpenCV's coarse upscaling would shift them by a quarter of a pixel, its pixel origin by a half."""
+    image, centers = blobs
+
+    offset = _offsets(extract_sift(write_image(image), SiftOptions()), centers)
+
+    assert offset.mean(dim=0).abs().amax() < 0.03
+
+
+def test_descriptors_are_rootsift_of_length_one(write_image, blobs):
+    features = extract_sift(write_image(blobs[0]), SiftOptions())
+
+    assert features.descriptors.shape == (len(features), 128)
+    assert features.descriptors.dtype == torch.float32
+    assert (features.descriptors >= 0.0).all()
+    torch.testing.assert_close(features.descriptors.norm(dim=-1), torch.ones(len(features)), rtol=0.0, atol=1e-5)
+
+
+def test_squared_descriptors_are_proportional_to_opencvs(write_image, blobs):
+    image, _ = blobs
+
+    features = extract_sift(write_image(image), SiftOptions())
+
+    _, plain = cv2.SIFT.create(nfeatures=8192, enable_precise_upscale=True).detectAndCompute(image, None)
+    expected = torch.from_numpy(plain / plain.sum(axis=1, keepdims=True))
+    torch.testing.assert_close(features.descriptors.square(), expected, rtol=1e-4, atol=1e-6)
+
+
+def test_colours_are_red_green_blue_at_the_keypoint(write_image, blobs):
+    image, _ = blobs
+    bgr = np.stack((image // 4, image // 2, image), axis=-1)
+
+    features = extract_sift(write_image(bgr), SiftOptions())
+
+    assert len(features) > 0
+    column, row = features.pixels.floor().long().T
+    assert torch.equal(features.colors, torch.from_numpy(bgr[..., ::-1].copy())[row, column])
+
+
+def test_about_as_many_as_asked_for_are_kept(write_image, blobs):
+    """OpenCV keeps all orientations of the last keypoint."""
+    assert 20 <= len(extract_sift(write_image(blobs[0]), SiftOptions(max_features=20))) < 30
+
+
+def test_zero_keeps_all(write_image, blobs):
+    path = write_image(blobs[0])
+
+    assert len(extract_sift(path, SiftOptions(max_features=0))) >= len(extract_sift(path, SiftOptions()))
+
+
+def test_a_blank_image_has_no_features(write_image):
+    features = extract_sift(write_image(np.full((120, 160), 127, dtype=np.uint8)), SiftOptions())
+
+    assert len(features) == 0
+    assert features.pixels.shape == (0, 2)
+    assert features.descriptors.shape == (0, 128)
+    assert features.colors.shape == (0, 3)
+
+
+def _offsets(features, centers):
+    """From each blob to its nearest keypoint (k, 2), where one lies within two pixels."""
+    distance = torch.cdist(centers, features.pixels)
+    nearest = distance.argmin(dim=1)
+    found = distance.amin(dim=1) < 2.0
+    return (features.pixels[nearest] - centers)[found]

@@ -1,0 +1,115 @@
+"""Poses without a starting value, through the water and without it."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from torchrefrac.geometry import align_above_plane, align_similarity
+from torchrefrac.ransac import RansacOptions
+from torchrefrac.sfm import PinholeInitializer, RefractiveInitializer, SfmOptions
+
+OPTIONS = SfmOptions(ransac=RansacOptions(max_error=2.0))
+HARD = {"noise": 0.2, "outliers": 0.15, "gravity_error_deg": 0.5}
+in_water_and_air = pytest.mark.parametrize("index_ratio", [1.33, 1.0], ids=["water", "air"])
+
+
+def make_initializer(survey):
+    if survey.basin.index_ratio == 1.0:
+        return PinholeInitializer(survey.capture, OPTIONS)
+    return RefractiveInitializer(survey.capture, survey.index_ratio, OPTIONS)
+
+
+@in_water_and_air
+def test_the_pose_of_a_pair_is_found_in_spite_of_outliers_and_gravity_that_is_off(survey_of, generator, index_ratio):
+    survey = survey_of(cameras=2, points=300, index_ratio=index_ratio, **HARD)
+    first, second, right, track = survey.common(0, 1)
+
+    pose = make_initializer(survey).relative((0, 1), (first, second), generator)
+
+    assert (pose.inliers & right).sum() > 0.95 * right.sum()
+    assert (pose.inliers & ~right).sum() < 0.03 * pose.inliers.sum()
+    truth = survey.basin.points[track[pose.inliers & right]]
+    points = pose.points[pose.inliers & right]
+    align = align_above_plane if index_ratio > 1.0 else align_similarity
+    change = align(points, truth)
+    assert (change.apply(points) - truth).norm(dim=-1).median() < 0.5
+    assert (change.apply(pose.center) - survey.basin.center).norm(dim=-1).amax() < 1.0
+
+
+@in_water_and_air
+def test_the_median_angle_of_a_pair_is_that_between_its_rays(survey_of, generator, index_ratio):
+    survey = survey_of(cameras=2, points=100, index_ratio=index_ratio)
+    first, second, _, _ = survey.common(0, 1)
+
+    pose = make_initializer(survey).relative((0, 1), (first, second), generator)
+
+    cameras = survey.basin.cameras[:, None]
+    directions = cameras.cast_rays(torch.stack((first, second)))[1]
+    expected = torch.arccos((directions[0] * directions[1]).sum(dim=-1)).median()
+    assert pose.median_angle == pytest.approx(float(expected), rel=1e-3)
+
+
+@in_water_and_air
+def test_the_pose_of_an_image_is_found_in_spite_of_outliers_and_gravity_that_is_off(survey_of, generator, index_ratio):
+    survey = survey_of(cameras=2, points=200, index_ratio=index_ratio, **{**HARD, "outliers": 0.3})
+    pixels, right, track = survey.common(1)
+
+    pose = make_initializer(survey).absolute(1, pixels, survey.basin.points[track], generator)
+
+    assert (pose.inliers & right).sum() > 0.98 * right.sum()
+    assert (pose.inliers & ~right).sum() <= 1
+    torch.testing.assert_close(pose.center, survey.basin.center[1], rtol=0.0, atol=0.1)
+    torch.testing.assert_close(pose.rotation, survey.basin.rotation[1], rtol=0.0, atol=2e-3)
+
+
+@pytest.mark.parametrize("count", [0, 5])
+@in_water_and_air
+def test_too_few_data_give_no_pose(survey_of, generator, index_ratio, count):
+    survey = survey_of(cameras=2, index_ratio=index_ratio)
+    first, second, _, track = survey.common(0, 1)
+    initializer = make_initializer(survey)
+
+    assert initializer.relative((0, 1), (first[:count], second[:count]), generator) is None
+    assert initializer.absolute(0, first[:count], survey.basin.points[track[:count]], generator) is None
+
+
+def test_random_pixels_give_no_pose_through_water_or_one_that_few_agree_with(survey_of, generator):
+    survey = survey_of(cameras=2, points=100, outliers=1.0)
+    first, second, _, track = survey.common(0, 1)
+    initializer = make_initializer(survey)
+
+    pair = initializer.relative((0, 1), (first, second), generator)
+    single = initializer.absolute(1, second, survey.basin.points[track], generator)
+
+    for pose in (pair, single):
+        assert pose is None or pose.inliers.sum() < 20
+
+
+@in_water_and_air
+def test_the_same_seed_gives_the_same_poses_to_the_last_bit(survey_of, index_ratio):
+    survey = survey_of(cameras=2, points=100, index_ratio=index_ratio, **HARD)
+    first, second, _, track = survey.common(0, 1)
+    initializer = make_initializer(survey)
+
+    pairs = [initializer.relative((0, 1), (first, second), torch.Generator().manual_seed(5)) for _ in range(2)]
+    singles = [
+        initializer.absolute(1, second, survey.basin.points[track], torch.Generator().manual_seed(5)) for _ in range(2)
+    ]
+
+    for one, two in (pairs, singles):
+        assert torch.equal(one.center, two.center)
+        assert torch.equal(one.inliers, two.inliers)
+
+
+def test_gravity_that_is_known_to_be_vague_widens_the_search(survey_of, generator):
+    survey = survey_of(cameras=2, points=200, noise=0.2, gravity_error_deg=3.0)
+    pixels, _, track = survey.common(1)
+    options = replace(OPTIONS, ransac=replace(OPTIONS.ransac, min_inliers=150))
+
+    def find(capture):
+        initializer = RefractiveInitializer(capture, survey.index_ratio, options)
+        return initializer.absolute(1, pixels, survey.basin.points[track], generator)
+
+    assert find(survey.capture).inliers.sum() > 0.95 * len(pixels)
+    assert find(replace(survey.capture, down_sigma=1e-6)) is None

@@ -1,0 +1,225 @@
+"""The incremental reconstruction from verified pairs to a finished model."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from torchrefrac.features import PairMatches, build_tracks
+from torchrefrac.geometry import align_above_plane, align_similarity, split_heading
+from torchrefrac.recorder import SilentRecorder
+from torchrefrac.sfm import (
+    PairPose,
+    PinholeInitializer,
+    Pose,
+    RefractiveInitializer,
+    SfmOptions,
+    VerifiedPair,
+    reconstruct_sparse,
+    verify_pairs,
+)
+from torchrefrac.sfm.incremental import NoInitialPairError
+
+OPTIONS = SfmOptions()
+HARD = {"noise": 0.1, "outliers": 0.05, "gravity_error_deg": 0.5}
+
+
+@pytest.fixture
+def reconstruct():
+    """`reconstruct(survey)`: from the matches of a survey to the reconstruction, as the pipeline does it."""
+
+    def run(survey, options=OPTIONS, recorder=None):
+        generator = torch.Generator().manual_seed(1)
+        initializer = RefractiveInitializer(survey.capture, survey.index_ratio, options)
+        if survey.basin.index_ratio == 1.0:
+            initializer = PinholeInitializer(survey.capture, options)
+        features, recorder = survey.features(), recorder or SilentRecorder()
+        pairs = verify_pairs(survey.pairs(), features, initializer, options.min_pair_inliers, generator, recorder)
+        tracks = build_tracks(features, [pair.pair for pair in pairs])
+        return reconstruct_sparse(
+            survey.capture, tracks, pairs, initializer, survey.index_ratio, options, generator, recorder
+        )
+
+    return run
+
+
+@pytest.mark.parametrize("index_ratio", [1.33, 1.0], ids=["water", "air"])
+def test_cameras_are_recovered_to_a_millimetre_from_a_metre_away(survey_of, reconstruct, index_ratio):
+    survey = survey_of(cameras=6, points=300, index_ratio=index_ratio, **HARD)
+
+    result = reconstruct(survey)
+
+    assert result.registered.all()
+    assert result.failures == {}
+    align = align_above_plane if index_ratio > 1.0 else align_similarity
+    centers = align(result.center, survey.basin.center).apply(result.center)
+    assert (centers - survey.basin.center).norm(dim=-1).amax() < 0.1
+
+
+def test_points_are_recovered_with_their_colours_and_wrong_observations_are_left_out(survey_of, reconstruct):
+    survey = survey_of(points=200, **HARD)
+
+    result = reconstruct(survey)
+
+    assert len(result.points) > 100
+    track = result.colors[:, 0].long()  # a survey colours its points by their number
+    points = align_above_plane(result.center, survey.basin.center).apply(result.points)
+    distance = (points - survey.basin.points[track]).norm(dim=-1)
+    assert distance.median() < 0.5
+    assert (distance < 2.0).double().mean() > 0.97
+    errors = result.reprojection_errors()
+    assert errors.amax() < OPTIONS.max_error
+    assert errors.square().mean().sqrt() < 0.2
+
+
+def test_a_finished_point_is_seen_by_three_images_at_least_and_observations_are_sorted(survey_of, reconstruct):
+    result = reconstruct(survey_of(**HARD, points=120))
+
+    assert torch.bincount(result.point).amin() >= 3
+    order = result.point * len(result.names) + result.image
+    assert (order[1:] > order[:-1]).all()
+    assert torch.equal(result.point.unique(), torch.arange(len(result.points)))
+
+
+def test_the_result_stands_in_the_frame_of_the_first_camera_and_its_measured_height(survey_of, reconstruct):
+    result = reconstruct(survey_of(**HARD, points=120))
+
+    assert result.center[0].tolist() == pytest.approx([0.0, 0.0, 30.0], abs=1e-9)
+    assert float(split_heading(result.rotation[0])[1]) == pytest.approx(0.0, abs=1e-9)
+    assert float(result.center[1, 2]) == pytest.approx(40.0, abs=0.2)
+
+
+def test_land_and_water_are_reconstructed_together(survey_of, reconstruct):
+    survey = survey_of(points=200, land=60, noise=0.1, gravity_error_deg=0.5)
+
+    result = reconstruct(survey, replace(OPTIONS, min_track_length=2))
+
+    assert result.registered.all()
+    points = align_above_plane(result.center, survey.basin.center).apply(result.points)
+    track = result.colors[:, 0].long()
+    dry = survey.basin.points[track, 2] > 0.0
+    distance = (points - survey.basin.points[track]).norm(dim=-1)
+    assert dry.sum() > 20
+    assert distance[dry].median() < 0.1
+    assert distance[~dry].median() < 0.2
+
+
+def test_two_images_are_enough(survey_of, reconstruct):
+    survey = survey_of(cameras=2, points=150, noise=0.1)
+
+    result = reconstruct(survey)
+
+    assert result.registered.all()
+    assert len(result.points) > 100
+
+
+def test_an_image_that_sees_nothing_of_the_scene_is_reported_with_the_reason(survey_of, reconstruct):
+    survey = _without(survey_of(points=150, noise=0.1), image=2)
+
+    result = reconstruct(survey)
+
+    assert result.registered.tolist() == [True, True, False, True]
+    assert result.failures == {"2.jpg": "sees only 0 reconstructed points, of which a pose needs 20"}
+    assert torch.equal(result.rotation[2], torch.eye(3, dtype=torch.float64))
+    assert not (result.image == 2).any()
+
+
+def test_an_image_whose_matches_are_all_wrong_is_left_out_and_does_no_harm(survey_of, reconstruct, draw):
+    survey = survey_of(points=150, noise=0.1)
+    last = survey.tracks.image == 3
+    nonsense = draw.uniform(0.0, 768.0, int(last.sum()), 2)
+    pixels = survey.tracks.pixels.clone()
+    pixels[last] = nonsense
+
+    result = reconstruct(replace(survey, tracks=replace(survey.tracks, pixels=pixels)))
+
+    assert result.registered.tolist() == [True, True, True, False]
+    assert "3.jpg" in result.failures
+    kept = result.registered
+    centers = align_above_plane(result.center[kept], survey.basin.center[kept]).apply(result.center[kept])
+    assert (centers - survey.basin.center[kept]).norm(dim=-1).amax() < 0.5
+
+
+def test_an_image_that_was_refused_is_tried_again_when_it_sees_more_points(survey_of, generator):
+    survey = survey_of(points=150)
+    initializer = _Knowing(survey)
+    pose = PairPose(survey.basin.rotation[:2], survey.basin.center[:2], torch.ones(50, dtype=torch.bool), None, 0.5)
+    pair = VerifiedPair(PairMatches(0, 1, torch.zeros(50, 2, dtype=torch.long)), pose, 50)
+
+    result = reconstruct_sparse(
+        survey.capture, survey.tracks, [pair], initializer, survey.index_ratio, OPTIONS, generator, SilentRecorder()
+    )
+
+    assert initializer.asked.count(initializer.asked[0]) == 2
+    assert result.registered.all()
+    assert result.failures == {}
+
+
+def test_without_a_pair_there_is_nothing_to_start_from(survey_of, generator):
+    survey = survey_of(cameras=3)
+    initializer = RefractiveInitializer(survey.capture, survey.index_ratio, OPTIONS)
+
+    with pytest.raises(NoInitialPairError, match="none of 0 image pairs has enough matches and angle to start from"):
+        reconstruct_sparse(
+            survey.capture, survey.tracks, [], initializer, survey.index_ratio, OPTIONS, generator, SilentRecorder()
+        )
+
+
+def test_pairs_whose_rays_open_too_little_cannot_start(survey_of, reconstruct):
+    survey = survey_of(cameras=2, points=150)
+
+    with pytest.raises(NoInitialPairError, match="none of 1 image pairs"):
+        reconstruct(survey, replace(OPTIONS, min_angle_deg=80.0))
+
+
+def test_the_same_seed_gives_the_same_reconstruction_to_the_last_bit(survey_of, reconstruct):
+    survey = survey_of(cameras=3, points=100, **HARD)
+
+    one, two = (reconstruct(survey) for _ in range(2))
+
+    assert torch.equal(one.center, two.center)
+    assert torch.equal(one.points, two.points)
+    assert torch.equal(one.image, two.image)
+
+
+def test_the_radial_terms_of_a_wrong_lens_are_refined_on_request(survey_of, reconstruct):
+    survey = survey_of(points=200, noise=0.05, distortion=(-0.05, 0.02, 0.0, 0.0, 0.0))
+    wrong = replace(survey.capture.intrinsics, distortion=survey.capture.intrinsics.distortion * 0.8)
+    survey = replace(survey, capture=replace(survey.capture, intrinsics=wrong))
+    refine = replace(OPTIONS, bundle=replace(OPTIONS.bundle, refine_radial=True))
+
+    kept, refined = reconstruct(survey), reconstruct(survey, refine)
+
+    assert torch.equal(kept.intrinsics.distortion, wrong.distortion)
+    assert float(refined.intrinsics.distortion[0]) == pytest.approx(-0.05, abs=2e-3)
+    assert refined.reprojection_errors().square().mean() < 0.5 * kept.reprojection_errors().square().mean()
+
+
+def test_the_recorder_hears_of_every_image_and_of_the_cost_in_order(survey_of, reconstruct, recorder):
+    reconstruct(survey_of(points=100, noise=0.1), recorder=recorder)
+
+    images = [value for name, value, _ in recorder.scalars if name == "registration/images"]
+    steps = [step for name, _, step in recorder.scalars if name == "adjustment/cost"]
+    assert images == [3, 4]
+    assert len(steps) > 0
+    assert steps == list(range(len(steps)))
+
+
+class _Knowing:
+    """An initialiser that knows the true poses, but finds none when it is first asked."""
+
+    def __init__(self, survey):
+        self.basin, self.asked = survey.basin, []
+
+    def absolute(self, image, pixels, points, generator):
+        self.asked.append(image)
+        if len(self.asked) == 1:
+            return None
+        everything = torch.ones(len(pixels), dtype=torch.bool)
+        return Pose(self.basin.rotation[image], self.basin.center[image], everything)
+
+
+def _without(survey, image):
+    """The survey where `image` sees nothing."""
+    keep = survey.tracks.image != image
+    return replace(survey, tracks=survey.tracks.select(keep), wrong=survey.wrong[keep])
