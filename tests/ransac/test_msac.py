@@ -197,6 +197,15 @@ def test_a_refit_is_given_the_inliers_of_the_best_model(make_location, generator
     assert torch.equal(location.fitted[0][1], location.data < 50.0)
 
 
+@pytest.mark.parametrize(("inliers", "refits"), [(3, 0), (4, 1)])
+def test_a_refit_is_asked_for_only_with_more_inliers_than_a_sample_has(make_location, generator, inliers, refits):
+    location = make_location(inliers, 20, sample_size=3, answer=([5.2], [True]), refits=[5.2])
+
+    ransac(location, replace(ONE_BY_ONE, max_samples=10), generator)
+
+    assert len(location.fitted) == refits
+
+
 @pytest.mark.parametrize(("count", "sample_size", "min_inliers"), [(6, 2, 7), (6, 7, 1), (0, 1, 1)])
 def test_too_few_data_are_reported_and_nothing_is_drawn(make_location, generator, count, sample_size, min_inliers):
     location = make_location(count, 0, sample_size=sample_size)

