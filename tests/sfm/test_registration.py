@@ -104,3 +104,14 @@ def test_visible_points_are_counted_for_every_image(without_last):
 
     expected = [int(((model.tracks.image == i) & has_point[model.tracks.track]).sum()) for i in range(4)]
     assert counts.tolist() == expected
+
+
+def test_the_observations_that_agree_with_the_pose_support_the_image_from_then_on(without_last, generator):
+    _, model = without_last
+    model = replace(model, active=model.active & (model.tracks.image != 3))
+
+    grown, _ = register_image(model, 3, Answering(25), OPTIONS, generator)
+
+    new = grown.active & ~model.active
+    assert int(new.sum()) == 25
+    assert (grown.tracks.image[new] == 3).all()

@@ -51,6 +51,8 @@ class SchurPlan:
             return cls(camera, point, num_cameras, 0, num_shared, ())
         if bool((point[1:] < point[:-1]).any()):
             raise ValueError("point must be sorted in ascending order")
+        if len(torch.unique(point * num_cameras + camera)) < len(point):
+            raise ValueError("a camera sees a point twice; each pair of camera and point may occur once")
         first = torch.searchsorted(point, torch.arange(num_points + 1, device=point.device)).tolist()
         per_tile = max(1, TILE_ELEMENTS // (POINT_SIZE * size))
         starts = range(0, num_points, per_tile)
@@ -101,7 +103,7 @@ class NormalEquations:
     """B and gc (dense), V and gp (per point), E as (N, 3, 6) per residual and (n, 3, g) for the shared unknowns.
 
     null_space (6m + g, k): orthonormal directions of the reduced unknowns in which the cost is flat (the gauge);
-    steps get no component along them.
+    undamped steps get no component along them, damped ones next to none (of the order of the damping).
     """
 
     plan: SchurPlan

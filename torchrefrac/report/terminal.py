@@ -30,8 +30,8 @@ class TerminalRecorder:
             yield from self._plain(items, total, description, unit)
             return
         bar = tqdm(
-            items, desc=f"{description:<12}", total=total, unit=f" {_plural(unit, total)}", ncols=WIDTH, file=self._stream,
-            bar_format="{desc}{bar} {n_fmt}/{total_fmt}{unit}  {rate_fmt}  {elapsed}<{remaining}",
+            items, total=total, desc=f"{description:<12}", unit=f" {_plural(unit, total)}", ncols=WIDTH,
+            file=self._stream, bar_format="{desc}{bar} {n_fmt}/{total_fmt}{unit}  {rate_fmt}  {elapsed}<{remaining}",
         )  # fmt: skip
         yield from bar
 

@@ -10,7 +10,7 @@ from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, Reconstruction, Tracks
 from torchrefrac.sfm.adjustment import adjust_model
-from torchrefrac.sfm.filtering import filter_points
+from torchrefrac.sfm.filtering import affordable_length, drop_unsupported_images, filter_points
 from torchrefrac.sfm.frame import fix_frame
 from torchrefrac.sfm.initial_pair import rank_initial_pairs, start_from_pair
 from torchrefrac.sfm.model import SparseModel
@@ -69,6 +69,7 @@ class _Growth:
         self.generator = generator
         self.recorder = recorder
         self.failures: dict[str, str] = {}
+        self._refused: dict[int, int] = {}  # images that could not be registered, and the points they saw then
         self._iterations = count()
 
     def start(self, pairs: Sequence[VerifiedPair], tracks: Tracks, index_ratio: torch.Tensor) -> SparseModel:
@@ -87,11 +88,10 @@ class _Growth:
     def register_all(self, model: SparseModel) -> Iterator[SparseModel]:
         """Yields the model after every image that could be registered."""
         adjusted_at = model.num_registered
-        refused: dict[int, int] = {}
         while True:
             seen = visible_points(model)
             seen[model.registered] = -1
-            for image, at in refused.items():
+            for image, at in self._refused.items():
                 if seen[image] <= at:
                     seen[image] = -1
             best = int(seen.argmax())
@@ -100,7 +100,7 @@ class _Growth:
             number_seen = int(seen[best])
             model, reason = register_image(model, best, self.initializer, self.options, self.generator)
             if reason:
-                refused[best] = number_seen
+                self._refused[best] = number_seen
                 self.failures[self.capture.names[best]] = reason
                 continue
             self.failures.pop(self.capture.names[best], None)
@@ -112,21 +112,28 @@ class _Growth:
             self.recorder.scalar("registration/points", int(model.has_point.sum()), model.num_registered)
             yield model
 
-    def adjust(self, model: SparseModel, solver: LevenbergMarquardtOptions, min_length: int = 2) -> SparseModel:
+    def adjust(self, model: SparseModel, solver: LevenbergMarquardtOptions) -> SparseModel:
         """Adjust, drop what no longer fits, and take in what now does."""
         bundle = replace(self.options.bundle, solver=solver)
         model = adjust_model(model, self.capture, bundle, self._record_cost)
-        model = filter_points(model, self.options, min_length)
-        return triangulate_tracks(model, self.options)
+        return triangulate_tracks(self._filter(model), self.options)
 
     def finish(self, model: SparseModel) -> SparseModel:
         """Adjust to convergence, with only the points that enough images see."""
-        min_length = min(self.options.min_track_length, model.num_registered)
+        min_length = affordable_length(model, self.options)
         rounds = range(self.options.final_rounds)
         for _ in self.recorder.track(rounds, len(rounds), "adjusting", "round"):
-            model = filter_points(triangulate_tracks(model, self.options), self.options, min_length)
+            model = self._filter(triangulate_tracks(model, self.options), min_length)
             model = adjust_model(model, self.capture, self.options.bundle, self._record_cost)
-        return filter_points(model, self.options, min_length)
+        return self._filter(model, min_length)
+
+    def _filter(self, model: SparseModel, min_length: int = 2) -> SparseModel:
+        """Drop points that do not fit, and images that are left with next to none."""
+        model, lost = drop_unsupported_images(filter_points(model, self.options, min_length))
+        for image in lost:
+            self.failures[self.capture.names[image]] = "lost its points when all images were adjusted together"
+            self._refused[image] = int(visible_points(model)[image])
+        return model
 
     def _record_cost(self, iteration: int, cost: float) -> None:
         self.recorder.scalar("adjustment/cost", cost, next(self._iterations))

@@ -13,12 +13,22 @@ def triangulate_rays(camera: RefractiveCamera, pixels: Tensor, present: Tensor) 
     The bent rays decide first; if they meet above the surface, the point lies in air and the straight rays do.
     Returns points, largest angle between rays (T, radians) and validity (T).
     """
-    origins, directions, _ = camera.cast_rays(pixels)
-    points, valid = triangulate(origins, directions, present.to(pixels.dtype))
-    angle = triangulation_angle(directions, present)
+    weights = present.to(pixels.dtype)
+    origins, in_water, _ = camera.cast_rays(pixels)
+    points, valid = triangulate(origins, in_water, weights)
     dry = points[..., 2] >= 0.0
     in_air = camera.view_directions(pixels)
-    dry_points, dry_valid = triangulate(camera.center_in_world.expand_as(origins), in_air, present.to(pixels.dtype))
+    dry_points, dry_valid = triangulate(camera.center_in_world.expand_as(origins), in_air, weights)
     points = torch.where(dry[..., None], dry_points, points)
-    angle = torch.where(dry, triangulation_angle(in_air, present), angle)
+    angle = _opening(in_water, in_air, present, dry)
     return points, angle, torch.where(dry, dry_valid, valid)
+
+
+def opening_angle(camera: RefractiveCamera, pixels: Tensor, present: Tensor, points: Tensor) -> Tensor:
+    """Largest angle (T, radians) at which the rays of each track meet in its point (T, 3), in water or in air."""
+    _, in_water, _ = camera.cast_rays(pixels)
+    return _opening(in_water, camera.view_directions(pixels), present, points[..., 2] >= 0.0)
+
+
+def _opening(in_water: Tensor, in_air: Tensor, present: Tensor, dry: Tensor) -> Tensor:
+    return triangulation_angle(torch.where(dry[..., None, None], in_air, in_water), present)

@@ -23,7 +23,10 @@ def register_image(
     options: SfmOptions,
     generator: torch.Generator,
 ) -> tuple[SparseModel, str]:
-    """Register `image`; the second value is empty, or says why it could not be and the model is the one given."""
+    """Register `image` by the points it sees; those that agree with its pose become its observations.
+
+    The second value is empty, or says why it could not be registered and the model is the one given.
+    """
     rows = ((model.tracks.image == image) & model.has_point[model.tracks.track]).nonzero()[:, 0]
     needed = options.min_registration_inliers
     if len(rows) < needed:
@@ -35,4 +38,6 @@ def register_image(
         return model, f"no pose agrees with more than {agreeing} of the {len(rows)} reconstructed points that it sees"
     rotation, center, registered = model.rotation.clone(), model.center.clone(), model.registered.clone()
     rotation[image], center[image], registered[image] = pose.rotation, pose.center, True
-    return replace(model, rotation=rotation, center=center, registered=registered), ""
+    active = model.active.clone()
+    active[rows[pose.inliers]] = True
+    return replace(model, rotation=rotation, center=center, registered=registered, active=active), ""
