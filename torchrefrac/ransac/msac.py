@@ -41,8 +41,8 @@ class RansacOptions:
 
     max_error: float = 4.0
     confidence: float = 0.9999
-    batch_size: int = 128
-    min_samples: int = 128
+    batch_size: int = 32
+    min_samples: int = 32
     max_samples: int = 3072
     refits: int = 5
     min_inliers: int = 12

@@ -5,6 +5,7 @@ from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.minimal import triangulate, triangulation_angle
+from torchrefrac.refraction import refract_rays
 
 
 def triangulate_rays(camera: RefractiveCamera, pixels: Tensor, present: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -14,10 +15,9 @@ def triangulate_rays(camera: RefractiveCamera, pixels: Tensor, present: Tensor) 
     Returns points, largest angle between rays (T, radians) and validity (T).
     """
     weights = present.to(pixels.dtype)
-    origins, in_water, _ = camera.cast_rays(pixels)
+    in_air, origins, in_water = _rays(camera, pixels)
     points, valid = triangulate(origins, in_water, weights)
     dry = points[..., 2] >= 0.0
-    in_air = camera.view_directions(pixels)
     dry_points, dry_valid = triangulate(camera.center_in_world.expand_as(origins), in_air, weights)
     points = torch.where(dry[..., None], dry_points, points)
     angle = _opening(in_water, in_air, present, dry)
@@ -26,8 +26,15 @@ def triangulate_rays(camera: RefractiveCamera, pixels: Tensor, present: Tensor) 
 
 def opening_angle(camera: RefractiveCamera, pixels: Tensor, present: Tensor, points: Tensor) -> Tensor:
     """Largest angle (T, radians) at which the rays of each track meet in its point (T, 3), in water or in air."""
-    _, in_water, _ = camera.cast_rays(pixels)
-    return _opening(in_water, camera.view_directions(pixels), present, points[..., 2] >= 0.0)
+    in_air, _, in_water = _rays(camera, pixels)
+    return _opening(in_water, in_air, present, points[..., 2] >= 0.0)
+
+
+def _rays(camera: RefractiveCamera, pixels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Directions in air, and origins and directions in the water (T, n, 3)."""
+    in_air = camera.view_directions(pixels)
+    origins, in_water, _ = refract_rays(camera.center_in_world, in_air, camera.interface.index_like(pixels))
+    return in_air, origins, in_water
 
 
 def _opening(in_water: Tensor, in_air: Tensor, present: Tensor, dry: Tensor) -> Tensor:

@@ -37,11 +37,11 @@ def refine_pair(
     present = torch.ones(both.shape[:2], dtype=torch.bool)
     options = replace(options, refine_radial=False, solver=SOLVER)
     for _ in range(ROUNDS):
-        camera = _cameras(intrinsics, rotation, center, index_ratio)
-        points, _, _ = triangulate_rays(camera, both, present)
         rows = _thin(inliers.nonzero()[:, 0])
+        camera = _cameras(intrinsics, rotation, center, index_ratio)
+        points, _, _ = triangulate_rays(camera, both[rows], present[rows])
         report = adjust(
-            BundleState(rotation, center, points[rows], intrinsics),
+            BundleState(rotation, center, points, intrinsics),
             camera=torch.arange(2).repeat(len(rows)),
             point=torch.arange(len(rows)).repeat_interleave(2),
             pixels=both[rows].flatten(0, 1),
