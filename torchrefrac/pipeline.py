@@ -19,6 +19,7 @@ from torchrefrac.sfm import (
     PinholeInitializer,
     PoseInitializer,
     RefractiveInitializer,
+    SfmOptions,
     VerifiedPair,
     reconstruct_sparse,
     verify_pairs,
@@ -54,9 +55,7 @@ def reconstruct(
     tracks = build_tracks(features, [pair.pair for pair in pairs])
     return stage(
         "sparse",
-        lambda: reconstruct_sparse(
-            capture, tracks, pairs, initializer, initializer.index_ratio, sfm, generator, recorder
-        ),
+        lambda: reconstruct_sparse(capture, tracks, pairs, initializer, sfm, generator, recorder),
     )
 
 
@@ -94,7 +93,7 @@ class _Stages:
         return product
 
 
-def _initializer(capture: Capture, options: Options, recorder: Recorder) -> tuple[Any, Any]:
+def _initializer(capture: Capture, options: Options, recorder: Recorder) -> tuple[PoseInitializer, SfmOptions]:
     """Pose initialiser and SfM options of the model that was asked for."""
     sfm = replace(options.sfm, bundle=replace(options.sfm.bundle, refine_radial=options.model.name == "radial"))
     ratio = options.water.index_ratio or capture.index_ratio

@@ -32,7 +32,7 @@ def test_a_model_starts_with_the_two_images_and_the_points_that_both_see(survey_
     survey = survey_of()
     pair = _pair(1, 50, 20.0, survey.basin.rotation[1:3], survey.basin.center[1:3])
 
-    model = start_from_pair(pair, survey.tracks, 4, survey.capture.intrinsics, survey.index_ratio, OPTIONS)
+    model = start_from_pair(pair, survey.tracks, survey.capture, survey.index_ratio, OPTIONS)
 
     assert model.registered.tolist() == [False, True, True, False]
     both = torch.bincount(survey.tracks.track[model.visible()], minlength=60) == 2

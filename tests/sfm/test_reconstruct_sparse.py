@@ -36,9 +36,7 @@ def reconstruct():
         features, recorder = survey.features(), recorder or SilentRecorder()
         pairs = verify_pairs(survey.pairs(), features, initializer, options.min_pair_inliers, generator, recorder)
         tracks = build_tracks(features, [pair.pair for pair in pairs])
-        return reconstruct_sparse(
-            survey.capture, tracks, pairs, initializer, survey.index_ratio, options, generator, recorder
-        )
+        return reconstruct_sparse(survey.capture, tracks, pairs, initializer, options, generator, recorder)
 
     return run
 
@@ -147,7 +145,7 @@ def test_an_image_that_was_refused_is_tried_again_when_it_sees_more_points(surve
     pair = VerifiedPair(PairMatches(0, 1, torch.zeros(50, 2, dtype=torch.long)), pose, 50)
 
     result = reconstruct_sparse(
-        survey.capture, survey.tracks, [pair], initializer, survey.index_ratio, OPTIONS, generator, SilentRecorder()
+        survey.capture, survey.tracks, [pair], initializer, OPTIONS, generator, SilentRecorder()
     )
 
     assert initializer.asked.count(initializer.asked[0]) == 2
@@ -160,9 +158,7 @@ def test_without_a_pair_there_is_nothing_to_start_from(survey_of, generator):
     initializer = RefractiveInitializer(survey.capture, survey.index_ratio, OPTIONS)
 
     with pytest.raises(NoInitialPairError, match="none of 0 image pairs has enough matches and angle to start from"):
-        reconstruct_sparse(
-            survey.capture, survey.tracks, [], initializer, survey.index_ratio, OPTIONS, generator, SilentRecorder()
-        )
+        reconstruct_sparse(survey.capture, survey.tracks, [], initializer, OPTIONS, generator, SilentRecorder())
 
 
 def test_pairs_whose_rays_open_too_little_cannot_start(survey_of, reconstruct):
@@ -209,7 +205,7 @@ class _Knowing:
     """An initialiser that knows the true poses, but finds none when it is first asked."""
 
     def __init__(self, survey):
-        self.basin, self.asked = survey.basin, []
+        self.basin, self.index_ratio, self.asked = survey.basin, survey.index_ratio, []
 
     def absolute(self, image, pixels, points, generator):
         self.asked.append(image)

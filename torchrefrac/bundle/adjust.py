@@ -44,16 +44,7 @@ def adjust(
     """
     num_shared = RADIAL_TERMS if options.refine_radial else 0
     plan = SchurPlan.create(camera, point, len(state.center), len(state.points), num_shared)
-    problem = BundleProblem(
-        plan=plan,
-        pixels=pixels,
-        index_ratio=index_ratio,
-        loss_scale=options.loss_scale,
-        pixel_sigma=options.pixel_sigma,
-        gravity=gravity,
-        free_gauge=True,
-    )
-    return minimize(problem, state, options.solver, callback)
+    return minimize(_problem(plan, pixels, index_ratio, options, gravity, True), state, options.solver, callback)
 
 
 def adjust_pose(
@@ -71,13 +62,15 @@ def adjust_pose(
         num_cameras=1,
         num_points=0,
     )
-    problem = BundleProblem(
-        plan=plan,
-        pixels=pixels,
-        index_ratio=index_ratio,
-        loss_scale=options.loss_scale,
-        pixel_sigma=options.pixel_sigma,
-        gravity=gravity,
-        free_gauge=False,
-    )
-    return minimize(problem, state, options.solver)
+    return minimize(_problem(plan, pixels, index_ratio, options, gravity, False), state, options.solver)
+
+
+def _problem(
+    plan: SchurPlan,
+    pixels: Tensor,
+    index_ratio: Tensor,
+    options: BundleOptions,
+    gravity: GravityPrior | None,
+    free_gauge: bool,
+) -> BundleProblem:
+    return BundleProblem(plan, pixels, index_ratio, options.loss_scale, options.pixel_sigma, gravity, free_gauge)

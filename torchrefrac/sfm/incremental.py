@@ -33,7 +33,6 @@ def reconstruct_sparse(
     tracks: Tracks,
     pairs: Sequence[VerifiedPair],
     initializer: PoseInitializer,
-    index_ratio: torch.Tensor,
     options: SfmOptions,
     generator: torch.Generator,
     recorder: Recorder,
@@ -44,7 +43,7 @@ def reconstruct_sparse(
     nothing to start from.
     """
     growth = _Growth(capture, initializer, options, generator, recorder)
-    model = growth.start(pairs, tracks, index_ratio)
+    model = growth.start(pairs, tracks)
     remaining = len(capture) - model.num_registered
     for grown in recorder.track(growth.register_all(model), remaining, "registering", "image"):
         model = grown
@@ -72,9 +71,9 @@ class _Growth:
         self._refused: dict[int, int] = {}  # images that could not be registered, and the points they saw then
         self._iterations = count()
 
-    def start(self, pairs: Sequence[VerifiedPair], tracks: Tracks, index_ratio: torch.Tensor) -> SparseModel:
+    def start(self, pairs: Sequence[VerifiedPair], tracks: Tracks) -> SparseModel:
         for pair in rank_initial_pairs(pairs, self.options):
-            model = start_from_pair(pair, tracks, len(self.capture), self.capture.intrinsics, index_ratio, self.options)
+            model = start_from_pair(pair, tracks, self.capture, self.initializer.index_ratio, self.options)
             if int(model.has_point.sum()) < MIN_INITIAL_POINTS:
                 continue
             model = self.adjust(model, GROWING)

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import torch
 
-from torchrefrac.camera import Intrinsics
-from torchrefrac.scene import Tracks
+from torchrefrac.scene import Capture, Tracks
 from torchrefrac.sfm.model import SparseModel
 from torchrefrac.sfm.options import SfmOptions
 from torchrefrac.sfm.triangulation import triangulate_tracks
@@ -26,13 +25,12 @@ def rank_initial_pairs(pairs: Sequence[VerifiedPair], options: SfmOptions) -> li
 def start_from_pair(
     pair: VerifiedPair,
     tracks: Tracks,
-    num_images: int,
-    intrinsics: Intrinsics,
+    capture: Capture,
     index_ratio: torch.Tensor,
     options: SfmOptions,
 ) -> SparseModel:
     """The model of two registered images and the points that both see."""
-    model = SparseModel.empty(tracks, num_images, intrinsics, index_ratio)
+    model = SparseModel.empty(tracks, len(capture), capture.intrinsics, index_ratio)
     images = [pair.pair.first, pair.pair.second]
     rotation, center, registered = model.rotation.clone(), model.center.clone(), model.registered.clone()
     rotation[images], center[images], registered[images] = pair.pose.rotation, pair.pose.center, True

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from torchrefrac.geometry import level_rotation
 from torchrefrac.scene import Capture
+from torchrefrac.sfm.one_view import refine_pose
 from torchrefrac.sfm.options import SfmOptions
 from torchrefrac.sfm.pose import PairPose, Pose
-from torchrefrac.sfm.refractive import refine_pose
 from torchrefrac.sfm.two_view import refine_pair
 
 MIN_ESSENTIAL = 8

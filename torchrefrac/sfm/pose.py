@@ -28,7 +28,12 @@ class PairPose:
 
 
 class PoseInitializer(Protocol):
-    """Finds poses without a starting value. None (or a reason) where the data do not carry one."""
+    """Finds poses without a starting value; None where the data do not carry one."""
+
+    @property
+    def index_ratio(self) -> Tensor:
+        """Scalar float64; 1 where the initialiser knows no refraction."""
+        ...
 
     def relative(
         self, images: tuple[int, int], pixels: tuple[Tensor, Tensor], generator: torch.Generator

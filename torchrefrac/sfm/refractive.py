@@ -5,12 +5,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchrefrac.bundle import BundleState, GravityPrior, adjust_pose
-from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.bundle import GravityPrior
 from torchrefrac.geometry import heading_rotation, level_rotation
 from torchrefrac.ransac import AbsolutePoseEstimator, RansacOptions, RelativePoseEstimator, ransac
-from torchrefrac.refraction import FlatInterface
 from torchrefrac.scene import Capture
+from torchrefrac.sfm.one_view import refine_pose
 from torchrefrac.sfm.options import SfmOptions
 from torchrefrac.sfm.pose import PairPose, Pose
 from torchrefrac.sfm.two_view import refine_pair
@@ -75,26 +74,3 @@ class RefractiveInitializer:
         """A threshold that an exact pose with gravity off by two sigma still meets."""
         blur = float(self.capture.intrinsics.focal.mean()) * self.capture.down_sigma * 2.0
         return replace(self.options.ransac, max_error=self.options.ransac.max_error + blur)
-
-
-def refine_pose(
-    pose: Pose,
-    pixels: Tensor,
-    points: Tensor,
-    intrinsics: Intrinsics,
-    index_ratio: Tensor,
-    options: SfmOptions,
-    gravity: GravityPrior | None = None,
-) -> Pose:
-    """Adjust one camera to its inliers, twice; inliers are then those within ransac.max_error."""
-    for _ in range(2):
-        state = BundleState(pose.rotation[None], pose.center[None], points[pose.inliers], intrinsics)
-        report = adjust_pose(state, pixels[pose.inliers], index_ratio, options.bundle, gravity)
-        rotation, center = report.state.rotation[0], report.state.center[0]
-        camera = RefractiveCamera(intrinsics, rotation, center, FlatInterface(index_ratio))
-        projected, valid = camera.project(points)
-        inliers = valid & ((projected - pixels).norm(dim=-1) < options.ransac.max_error)
-        pose = Pose(rotation, center, inliers)
-        if int(inliers.sum()) < 3:
-            break
-    return pose

@@ -1,0 +1,35 @@
+"""Polish the pose of one image: adjust, judge its points anew, adjust again."""
+
+from torch import Tensor
+
+from torchrefrac.bundle import BundleState, GravityPrior, adjust_pose
+from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.refraction import FlatInterface
+from torchrefrac.sfm.options import SfmOptions
+from torchrefrac.sfm.pose import Pose
+
+ROUNDS = 2
+MIN_INLIERS = 3
+
+
+def refine_pose(
+    pose: Pose,
+    pixels: Tensor,
+    points: Tensor,
+    intrinsics: Intrinsics,
+    index_ratio: Tensor,
+    options: SfmOptions,
+    gravity: GravityPrior | None = None,
+) -> Pose:
+    """Adjust one camera to its inliers, twice; inliers are then those within ransac.max_error."""
+    for _ in range(ROUNDS):
+        state = BundleState(pose.rotation[None], pose.center[None], points[pose.inliers], intrinsics)
+        report = adjust_pose(state, pixels[pose.inliers], index_ratio, options.bundle, gravity)
+        rotation, center = report.state.rotation[0], report.state.center[0]
+        camera = RefractiveCamera(intrinsics, rotation, center, FlatInterface(index_ratio))
+        projected, valid = camera.project(points)
+        inliers = valid & ((projected - pixels).norm(dim=-1) < options.ransac.max_error)
+        pose = Pose(rotation, center, inliers)
+        if int(inliers.sum()) < MIN_INLIERS:
+            break
+    return pose
