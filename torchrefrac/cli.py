@@ -1,5 +1,6 @@
 """The command line: Hydra composes the options, this module hands them to the pipeline."""
 
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,8 @@ def _run(config: DictConfig, folder: Path) -> None:
     options = run_options(config)
     capture = load_capture(scene_folder(options.scene))
     model = options.reconstruction.model.name
-    print(f"{options.scene.name}: {len(capture)} images, model {model}, into {folder}", file=sys.stderr)
+    into = os.path.relpath(folder)
+    print(f"{options.scene.name}: {len(capture)} images, model {model}, into {into}", file=sys.stderr)
     with TensorBoardRecorder(folder / "events") as board:
         metrics = run(capture, options.reconstruction, Recorders(TerminalRecorder(), board), folder)
     print(_summary(metrics, capture.length_unit))

@@ -32,11 +32,14 @@ def compare(runs: Sequence[Path], truth: Truth | None, folder: Path) -> str:
 
 
 def _table(metrics: Sequence[dict[str, Any]]) -> str:
-    """One line a run, in Markdown that reads well in a terminal too."""
+    """One line a run, in Markdown that reads well in a terminal too.
+
+    Camera RMS after alignment, median distance of the points from the true surface, median reprojection error.
+    """
     unit = next((key.removeprefix("camera_rms_") for m in metrics for key in m if key.startswith("camera_rms_")), "")
-    header = ["model", "images", "points", "reprojection (px)", "seconds"]
+    header = ["model", "images", "points", "error (px)", "seconds"]
     if unit:
-        header[1:1] = [f"camera RMS ({unit})", f"surface median ({unit})"]
+        header[1:1] = [f"camera RMS ({unit})", f"off surface ({unit})"]
     rows = []
     for m in metrics:
         row = [TITLES.get(m["model"], m["model"])]

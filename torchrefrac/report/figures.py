@@ -57,7 +57,7 @@ def draw_side_views(views: Sequence[SideView], truth: Truth | None, path: Path) 
     low, high = _height_range(views, truth)
     limits = _limits(views, truth, across)
     width, height = (end - start for start, end in limits)
-    figure = Figure(figsize=(1.6 + PANEL_INCHES * len(views), 1.7 + PANEL_INCHES * height / width), dpi=150)
+    figure = Figure(figsize=(1.6 + PANEL_INCHES * len(views), 1.35 + PANEL_INCHES * height / width), dpi=150)
     figure.set_layout_engine("constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(views), sharex=True, sharey=True, squeeze=False)[0]
