@@ -66,7 +66,7 @@ def run(capture: Capture, options: Options, recorder: Recorder, folder: Path) ->
     what was complete before.
     """
     files = RunFolder(folder)
-    with files.recording(model=options.model.name):
+    with files.recording(model=options.model.name, capture=str(capture.folder.resolve())):
         reconstruction = reconstruct(capture, options, recorder, files.stage_done)
         metrics = summarize(reconstruction)
         truth = load_truth(capture.folder)

@@ -58,6 +58,7 @@ def test_a_multirun_over_the_models_ends_with_table_and_figure(torchrefrac, smal
     assert refractive["alignment"] == "4-dof"
     table = (both / "table1.md").read_text()
     assert table.strip() in ended.out
+    assert none["capture"] == str(small_tank)
     assert "No refraction" in table
     assert "Refraction" in table
     assert cv2.imread(str(both / "figure1.png")).std() > 5

@@ -1,0 +1,86 @@
+"""Runs side by side: the table says which is which, whatever was run."""
+
+import json
+import shutil
+
+import pytest
+import torch
+
+from torchrefrac.camera import Intrinsics
+from torchrefrac.report.comparison import compare
+from torchrefrac.scene import Reconstruction, load_truth, write_cameras, write_points
+from torchrefrac.scene.library import embedded_scene
+
+COMPLETE = {
+    "status": "complete", "images": 8, "registered_images": 8, "points": 50, "reprojection_median_px": 0.1,
+    "seconds_total": 9.0, "camera_rms_cm": 0.01234, "surface_median_cm": 0.5,
+}  # fmt: skip
+
+
+@pytest.fixture
+def make_run(tmp_path, draw):
+    """`make_run(name, model, scene)`: a finished run folder; other fields of metrics.json as given."""
+    truth = load_truth(embedded_scene("tank_small"))
+    empty = torch.zeros(0, dtype=torch.long)
+
+    def make(name, model="refractive", scene="tank", **fields):
+        capture = tmp_path / scene
+        capture.mkdir(exist_ok=True)
+        shutil.copy(embedded_scene("tank_small") / "truth.json", capture)
+        run = tmp_path / "runs" / name
+        points = draw.uniform(-100.0, -50.0, 50, 3)
+        colors = torch.zeros(50, 3, dtype=torch.uint8)
+        ratio = 1.33 if model == "refractive" else 1.0
+        registered = torch.ones(8, dtype=torch.bool)
+        write_cameras(
+            Reconstruction(
+                truth.names, registered, truth.rotation, truth.center, Intrinsics.create(640, 480, 417.0), ratio, "cm",
+                points, colors, empty, empty, torch.zeros(0, 2),
+            ),
+            run / "cameras.json",
+        )  # fmt: skip
+        write_points(points, colors, run / "points.ply")
+        metrics = COMPLETE | {"model": model, "capture": str(capture)} | fields
+        (run / "metrics.json").write_text(json.dumps(metrics))
+        return run
+
+    return make
+
+
+def test_one_scene_gets_one_figure_and_a_line_a_model(make_run, tmp_path):
+    runs = [make_run("0", "none"), make_run("1", "refractive")]
+    table = compare(runs, tmp_path)
+    assert [line.split("|")[1].strip() for line in table.splitlines()[2:]] == ["No refraction", "Refraction"]
+    assert "0.0123" in table
+    assert {p.name for p in tmp_path.glob("*1*")} == {"table1.md", "figure1.png"}
+    assert (tmp_path / "table1.md").read_text() == table + "\n"
+
+
+def test_several_scenes_are_named_and_get_a_figure_each(make_run, tmp_path):
+    table = compare([make_run("0", scene="tank"), make_run("1", scene="pond")], tmp_path)
+    assert "tank: Refraction" in table
+    assert "pond: Refraction" in table
+    assert {p.name for p in tmp_path.glob("figure*")} == {"figure1_tank.png", "figure1_pond.png"}
+
+
+def test_runs_that_differ_in_something_else_are_told_apart_by_their_folder(make_run, tmp_path):
+    table = compare([make_run("0_refractive"), make_run("1_refractive")], tmp_path)
+    assert "Refraction [0_refractive]" in table
+    assert "Refraction [1_refractive]" in table
+
+
+def test_a_failed_run_has_its_line_and_no_panel(make_run, tmp_path):
+    failed = tmp_path / "runs" / "1"
+    failed.mkdir(parents=True)
+    (failed / "metrics.json").write_text(json.dumps({"status": "failed", "model": "none", "reason": "no images"}))
+    table = compare([make_run("0"), failed], tmp_path)
+    assert [cell.strip() for cell in table.splitlines()[3].split("|")[1:3]] == ["No refraction", "failed"]
+    assert (tmp_path / "figure1.png").is_file()
+
+
+def test_a_comparison_of_failures_alone_draws_nothing(tmp_path):
+    failed = tmp_path / "runs" / "0"
+    failed.mkdir(parents=True)
+    (failed / "metrics.json").write_text(json.dumps({"status": "failed", "model": "none", "reason": "no images"}))
+    assert "failed" in compare([failed], tmp_path)
+    assert not list(tmp_path.glob("figure*"))
