@@ -18,7 +18,7 @@ from torchrefrac.report.recorders import Recorders
 from torchrefrac.report.run_folder import write_metrics
 from torchrefrac.report.tensorboard import TensorBoardRecorder
 from torchrefrac.report.terminal import TerminalRecorder
-from torchrefrac.scene import CaptureError, load_capture
+from torchrefrac.scene import Capture, CaptureError, load_capture
 from torchrefrac.scene.library import embedded_scene
 from torchrefrac.sfm import NoInitialPairError
 
@@ -58,24 +58,35 @@ def scene_folder(scene: SceneOptions) -> Path:
 def _hydra_main(config: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     try:
-        _run(config, folder)
+        options = run_options(config)
+        capture = load_capture(scene_folder(options.scene))
     except EXPECTED as error:
-        reason = _sentence(error)
-        _failed.append(reason)
-        if not (folder / "metrics.json").is_file():
-            write_metrics({"status": "failed", "stages": [], "model": config.model.name, "reason": reason}, folder)
-        print(f"error: {reason}", file=sys.stderr)
+        write_metrics({"status": "failed", "stages": [], "model": config.model.name, "reason": _report(error)}, folder)
+        return
+    try:
+        _run(options, capture, folder)
+    except EXPECTED as error:
+        _report(error)
 
 
-def _run(config: DictConfig, folder: Path) -> None:
-    options = run_options(config)
-    capture = load_capture(scene_folder(options.scene))
+def _run(options: RunOptions, capture: Capture, folder: Path) -> None:
     model = options.reconstruction.model.name
     into = os.path.relpath(folder)
     print(f"{options.scene.name}: {len(capture)} images, model {model}, into {into}", file=sys.stderr)
     with TensorBoardRecorder(folder / "events") as board:
         metrics = run(capture, options.reconstruction, Recorders(TerminalRecorder(), board), folder)
     print(_summary(metrics, capture.length_unit))
+
+
+def _report(error: Exception) -> str:
+    """Tell the user, remember the failure for the exit status; returns the sentence."""
+    if isinstance(error, MissingMandatoryValue):
+        reason = f"{error.full_key} is missing; give it on the command line as {error.full_key}=VALUE"
+    else:
+        reason = " ".join(str(error).split())
+    _failed.append(reason)
+    print(f"error: {reason}", file=sys.stderr)
+    return reason
 
 
 def _summary(metrics: dict[str, Any], unit: str) -> str:
@@ -94,19 +105,19 @@ def _summary(metrics: dict[str, Any], unit: str) -> str:
     return "\n".join(lines)
 
 
-def _sentence(error: Exception) -> str:
-    if isinstance(error, MissingMandatoryValue):
-        return f"{error.full_key} is missing; give it on the command line as {error.full_key}=VALUE"
-    return " ".join(str(error).split())
-
-
 class CompareRuns(Callback):
     """After a multirun, whatever it ran over: the paper's Table 1 and Figure 1."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         folder = Path(config.hydra.sweep.dir)
-        runs = sorted((p.parent for p in folder.glob("*/metrics.json")), key=lambda p: int(p.name.split("_")[0]))
+        runs = sorted((path.parent for path in folder.glob("*/metrics.json")), key=_job_order)
         if not runs:
             return
         print(compare(runs, folder))
         print(f"the table and its figure are in {os.path.relpath(folder)}")
+
+
+def _job_order(run: Path) -> tuple[int, str]:
+    """Folders are named JOB_MODEL; others come last."""
+    job = run.name.split("_")[0]
+    return (int(job) if job.isdigit() else sys.maxsize), run.name

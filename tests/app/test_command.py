@@ -84,6 +84,13 @@ def test_bad_input_is_one_sentence_a_failed_status_and_no_results(torchrefrac, m
     assert not RESULTS - {"metrics.json"} & {p.name for p in (tmp_path / "run").iterdir()}
 
 
+def test_a_folder_that_is_used_again_does_not_pass_old_metrics_off_as_new(torchrefrac, metrics, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "metrics.json").write_text('{"status": "complete"}')
+    assert torchrefrac("scene=capture", "scene.path=nowhere", "out=run").status == 1
+    assert metrics(tmp_path / "run")["status"] == "failed"
+
+
 def test_an_unknown_scene_or_option_does_not_start(torchrefrac):
     for argument in ("scene=pond", "sfm.max_eror=3"):
         assert torchrefrac(argument, "out=run").status == 1

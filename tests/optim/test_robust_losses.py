@@ -3,7 +3,7 @@
 import torch
 from tolerances import assert_matches
 
-from torchrefrac.optim import huber, squared
+from torchrefrac.optim import huber
 
 
 def test_huber_is_quadratic_inside_and_linear_outside():
@@ -37,12 +37,3 @@ def test_huber_has_a_finite_derivative_at_zero():
     huber(s, 1.0)[0].sum().backward()
 
     assert s.grad.tolist() == [1.0]
-
-
-def test_the_squared_loss_is_no_robustness_at_all(draw):
-    s = draw.power_of_ten(-4.0, 4.0, 20)
-
-    rho, weight = squared(s)
-
-    assert torch.equal(rho, s)
-    assert torch.equal(weight, torch.ones_like(s))

@@ -8,6 +8,7 @@ import torch
 from torchrefrac.features import PairMatches, build_tracks
 from torchrefrac.geometry import align_above_plane, align_similarity, split_heading
 from torchrefrac.recorder import SilentRecorder
+from torchrefrac.scene import Tracks
 from torchrefrac.sfm import (
     PairPose,
     PinholeInitializer,
@@ -217,5 +218,6 @@ class _Knowing:
 
 def _without(survey, image):
     """The survey where `image` sees nothing."""
-    keep = survey.tracks.image != image
-    return replace(survey, tracks=survey.tracks.select(keep), wrong=survey.wrong[keep])
+    tracks, keep = survey.tracks, survey.tracks.image != image
+    seen = Tracks(tracks.image[keep], tracks.track[keep], tracks.pixels[keep], tracks.colors[keep], tracks.num_tracks)
+    return replace(survey, tracks=seen, wrong=survey.wrong[keep])

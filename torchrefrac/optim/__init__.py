@@ -8,7 +8,7 @@ from torchrefrac.optim.levenberg_marquardt import (
     Step,
     minimize,
 )
-from torchrefrac.optim.loss import huber, squared
+from torchrefrac.optim.loss import huber
 from torchrefrac.optim.schur import NormalEquations, SchurPlan
 
 __all__ = [
@@ -21,5 +21,4 @@ __all__ = [
     "Step",
     "huber",
     "minimize",
-    "squared",
 ]

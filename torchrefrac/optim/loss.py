@@ -4,11 +4,6 @@ import torch
 from torch import Tensor
 
 
-def squared(s: Tensor) -> tuple[Tensor, Tensor]:
-    """No robustness: rho = s."""
-    return s, torch.ones_like(s)
-
-
 def huber(s: Tensor, scale: float) -> tuple[Tensor, Tensor]:
     """Huber: s inside |r| <= scale, linear in |r| outside."""
     limit = scale * scale

@@ -19,10 +19,6 @@ class Tracks:
     colors: Tensor
     num_tracks: int
 
-    def select(self, keep: Tensor) -> "Tracks":
-        """The observations where `keep` (N) holds; track ids stay as they are."""
-        return Tracks(self.image[keep], self.track[keep], self.pixels[keep], self.colors[keep], self.num_tracks)
-
     def mean_colors(self) -> Tensor:
         """(num_tracks, 3) uint8."""
         total = torch.zeros(self.num_tracks, 3, dtype=torch.float64).index_add_(0, self.track, self.colors.double())
