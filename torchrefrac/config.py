@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from torchrefrac.features import MatchOptions, SiftOptions
+from torchrefrac.scene.capture_file import MAX_INDEX_RATIO
 from torchrefrac.sfm import SfmOptions
 
 T = TypeVar("T")
@@ -32,8 +33,9 @@ class WaterOptions:
     index_ratio: float | None = None
 
     def __post_init__(self) -> None:
-        if self.index_ratio is not None and not 1.0 <= self.index_ratio <= 3.0:
-            raise OptionError(f"water.index_ratio is {self.index_ratio:g}, but must lie between 1 and 3 (water: 1.333)")
+        if self.index_ratio is not None and not 1.0 <= self.index_ratio <= MAX_INDEX_RATIO:
+            wants = f"lie between 1 and {MAX_INDEX_RATIO:g} (water: 1.333)"
+            raise OptionError(f"water.index_ratio is {self.index_ratio:g}, but must {wants}")
 
 
 @dataclass(frozen=True)

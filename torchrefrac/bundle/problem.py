@@ -49,10 +49,8 @@ class BundleProblem:
 
     def residuals(self, state: BundleState) -> tuple[Tensor, Tensor]:
         """Reprojection errors in pixels (N, 2), and which observations are possible (N)."""
-        camera = RefractiveCamera(state.intrinsics, state.rotation, state.center, FlatInterface(self.index_ratio))[
-            self.plan.camera
-        ]
-        projected, valid = camera.project(state.points[self.plan.point])
+        cameras = RefractiveCamera(state.intrinsics, state.rotation, state.center, FlatInterface(self.index_ratio))
+        projected, valid = cameras[self.plan.camera].project(state.points[self.plan.point])
         return projected - self.pixels, valid
 
     def cost(self, state: BundleState) -> Tensor:

@@ -32,9 +32,7 @@ def lift_points(center: Tensor, points: Tensor, index_ratio: Tensor) -> tuple[Te
     gets the straight offset. At index ratio 1 the offset is p - c to the last bit and always valid.
     """
     straight, wet, terms = _terms(center, points, index_ratio)
-    lifted = apparent_height(*terms)
-    vertical = torch.where(wet, -lifted, straight[..., 2])
-    offset = torch.cat((straight[..., :2].expand(*vertical.shape, 2), vertical[..., None]), dim=-1)
+    offset = _offset(straight, wet, apparent_height(*terms))
     return offset, _is_valid(center, offset, index_ratio)
 
 
@@ -44,8 +42,7 @@ def lift_with_partials(center: Tensor, points: Tensor, index_ratio: Tensor) -> t
     lifted = apparent_height(*terms)
     by_height, by_depth, by_distance_sq, by_index = apparent_height_partials(lifted, *terms)
     one, zero = torch.ones_like(lifted), torch.zeros_like(lifted)
-    vertical = torch.where(wet, -lifted, straight[..., 2])
-    offset = torch.cat((straight[..., :2].expand(*vertical.shape, 2), vertical[..., None]), dim=-1)
+    offset = _offset(straight, wet, lifted)
     lift = Lift(
         offset=offset,
         by_center_z=torch.where(wet, by_height, one),
@@ -69,6 +66,11 @@ def _terms(
     safe_height = torch.where(wet, height, 1.0)
     safe_depth = torch.where(wet, depth, 0.0)
     return straight, wet, (safe_height, safe_depth, horizontal_sq, torch.where(wet, index, 1.0))
+
+
+def _offset(straight: Tensor, wet: Tensor, lifted: Tensor) -> Tensor:
+    vertical = torch.where(wet, -lifted, straight[..., 2])
+    return torch.cat((straight[..., :2].expand(*vertical.shape, 2), vertical[..., None]), dim=-1)
 
 
 def _is_valid(center: Tensor, offset: Tensor, index_ratio: Tensor) -> Tensor:

@@ -34,6 +34,7 @@ def adjust_model(
         gravity=GravityPrior(capture.down_in_cam[images], capture.down_sigma) if refractive else None,
         callback=callback,
     )
-    rotation, center, points = model.rotation.clone(), model.center.clone(), model.points.clone()
-    rotation[images], center[images], points[ids] = report.state.rotation, report.state.center, report.state.points
-    return replace(model, rotation=rotation, center=center, points=points, intrinsics=report.state.intrinsics)
+    points = model.points.clone()
+    points[ids] = report.state.points
+    model = model.with_poses(images, report.state.rotation, report.state.center)
+    return replace(model, points=points, intrinsics=report.state.intrinsics)

@@ -26,20 +26,14 @@ def fix_frame(model: SparseModel, capture: Capture) -> SparseModel:
     _, heading = split_heading(model.rotation[first] @ level.T)
     rotation = heading_rotation(heading) @ level
     center = model.center[images] @ rotation.T
-    one = torch.ones((), dtype=torch.float64)
-    first_height = capture.height[first] if bool(capture.has_height[first]) else one
-    shift = -center[0]
+    measured = capture.has_height[images]
+    scale, lift = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
     if refractive:
-        measured = capture.has_height[images]
-        if bool(measured.any()):
-            found, wanted = center[measured, 2], capture.height[images][measured]
-            scale = (found * wanted).sum() / (found * found).sum()
-        else:
-            scale = 1.0 / center[0, 2]
-        shift = torch.cat((shift[:2], shift.new_zeros(1)))
+        found, wanted = center[measured, 2], capture.height[images][measured]
+        scale = (found * wanted).sum() / (found * found).sum() if bool(measured.any()) else 1.0 / center[0, 2]
     else:
-        scale = one
-        shift = shift + torch.stack((0 * one, 0 * one, first_height))
+        lift = torch.where(measured[0], capture.height[first], 1.0) - center[0, 2]
+    shift = torch.stack((-center[0, 0], -center[0, 1], lift))
     return _transform(model, Similarity(scale, rotation, scale * shift))
 
 

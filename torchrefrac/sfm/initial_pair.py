@@ -1,7 +1,6 @@
 """The pair of images that the reconstruction grows from."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import torch
 
@@ -32,7 +31,4 @@ def start_from_pair(
     """The model of two registered images and the points that both see."""
     model = SparseModel.empty(tracks, len(capture), capture.intrinsics, index_ratio)
     images = [pair.pair.first, pair.pair.second]
-    rotation, center, registered = model.rotation.clone(), model.center.clone(), model.registered.clone()
-    rotation[images], center[images], registered[images] = pair.pose.rotation, pair.pose.center, True
-    model = replace(model, rotation=rotation, center=center, registered=registered)
-    return triangulate_tracks(model, options)
+    return triangulate_tracks(model.with_poses(images, pair.pose.rotation, pair.pose.center), options)

@@ -1,6 +1,6 @@
 """The reconstruction while it grows."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -51,6 +51,12 @@ class SparseModel:
         return RefractiveCamera(
             self.intrinsics, self.rotation[image], self.center[image], FlatInterface(self.index_ratio)
         )
+
+    def with_poses(self, images: Tensor | list[int], rotation: Tensor, center: Tensor) -> "SparseModel":
+        """The model with `images` (k) registered at rotation (k, 3, 3) and center (k, 3)."""
+        registered, rotations, centers = self.registered.clone(), self.rotation.clone(), self.center.clone()
+        registered[images], rotations[images], centers[images] = True, rotation, center
+        return replace(self, registered=registered, rotation=rotations, center=centers)
 
     def visible(self) -> Tensor:
         """Observations (N) in registered images."""

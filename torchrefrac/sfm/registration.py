@@ -36,8 +36,6 @@ def register_image(
     agreeing = int(pose.inliers.sum()) if pose is not None else 0
     if pose is None or agreeing < needed:
         return model, f"no pose agrees with more than {agreeing} of the {len(rows)} reconstructed points that it sees"
-    rotation, center, registered = model.rotation.clone(), model.center.clone(), model.registered.clone()
-    rotation[image], center[image], registered[image] = pose.rotation, pose.center, True
     active = model.active.clone()
     active[rows[pose.inliers]] = True
-    return replace(model, rotation=rotation, center=center, registered=registered, active=active), ""
+    return replace(model.with_poses([image], pose.rotation[None], pose.center[None]), active=active), ""

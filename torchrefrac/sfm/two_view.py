@@ -13,6 +13,7 @@ from torchrefrac.sfm.pose import PairPose
 from torchrefrac.sfm.rays import triangulate_rays
 
 ROUNDS = 2
+MIN_INLIERS = 6
 MAX_MATCHES = 400
 SOLVER = LevenbergMarquardtOptions(max_iterations=8, function_tolerance=1e-3)
 
@@ -55,7 +56,7 @@ def refine_pair(
         projected, possible = camera.project(points[:, None])
         error = (projected - both).norm(dim=-1).amax(dim=-1)
         inliers = valid & possible.all(dim=-1) & (error < max_error)
-        if int(inliers.sum()) < 6:
+        if int(inliers.sum()) < MIN_INLIERS:
             break
     median = float(angle[inliers].median()) if bool(inliers.any()) else 0.0
     return PairPose(rotation, center, inliers, points, median)
