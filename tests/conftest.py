@@ -100,8 +100,8 @@ class Basin:
 
     def level_rays(self) -> Tensor:
         """Gravity-aligned rays (*B, m, n, 3), straight from the lifted points: no lens and no gravity take part."""
-        index = torch.tensor(self.index_ratio, dtype=torch.float64)
-        offset, _ = lift_points(self.center[..., None, :], self.points[..., None, :, :], index)
+        interface = FlatInterface(self.index_ratio)
+        offset, _ = lift_points(self.center[..., None, :], self.points[..., None, :, :], interface)
         return offset @ heading_rotation(self.heading).mT
 
     def level_rays_of(self, pixels: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from tolerances import DTYPES, EXACT, TOLERANCE, assert_matches
 
 from torchrefrac.refraction import solve_refrax
-from torchrefrac.refraction.snell import _start
+from torchrefrac.refraction.iterations import lower_bound
 
 METHODS = ["halley", "newton", "companion"]
 
@@ -69,7 +69,7 @@ def test_every_start_is_a_lower_bound_so_that_newton_climbs_monotonically(draw):
     (height, depth, distance, index), truth = _cases(draw, 20_000)
     root = truth / height
 
-    start = _start(height, depth, (index.square() - 1.0) * distance.square(), index)
+    start = lower_bound(distance.square(), height, (depth,), (index,))
 
     assert (start > 0).all()
     assert (start <= root * (1.0 + 4.0 * torch.finfo(torch.float64).eps)).all()

@@ -1,6 +1,7 @@
 """The bundle adjustment cost (paper, Eq. 20): reprojection errors through the water, robust, and gravity as a prior."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -43,13 +44,17 @@ class BundleProblem:
     gravity: GravityPrior | None
     free_gauge: bool
 
+    @cached_property
+    def interface(self) -> FlatInterface:
+        return FlatInterface(self.index_ratio)
+
     @property
     def refractive(self) -> bool:
         return float(self.index_ratio) > 1.0
 
     def residuals(self, state: BundleState) -> tuple[Tensor, Tensor]:
         """Reprojection errors in pixels (N, 2), and which observations are possible (N)."""
-        cameras = RefractiveCamera(state.intrinsics, state.rotation, state.center, FlatInterface(self.index_ratio))
+        cameras = RefractiveCamera(state.intrinsics, state.rotation, state.center, self.interface, check=False)
         projected, valid = cameras[self.plan.camera].project(state.points[self.plan.point])
         return projected - self.pixels, valid
 
@@ -66,7 +71,7 @@ class BundleProblem:
         plan = self.plan
         rotation, center = state.rotation[plan.camera], state.center[plan.camera]
         projected, by, valid = project_with_jacobians(
-            state.intrinsics, rotation, center, state.points[plan.point], self.index_ratio
+            state.intrinsics, rotation, center, state.points[plan.point], self.interface
         )
         residual = projected - self.pixels
         _, weight = huber(residual.square().sum(dim=-1), self.loss_scale)

@@ -2,14 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchrefrac.camera.distortion import distort, undistort
+from torchrefrac.checks import require_broadcasting, require_ending
+from torchrefrac.numerics import pick
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Intrinsics:
     """Pinhole with Brown-Conrady distortion. Pixels: the centre of the top-left pixel is (0.5, 0.5).
 
@@ -22,6 +25,13 @@ class Intrinsics:
     focal: Tensor
     principal_point: Tensor
     distortion: Tensor
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.height) < 1:
+            raise ValueError(f"width and height are {self.width} and {self.height}, but must be at least 1 pixel")
+        require_ending(self.focal, "focal", (2,))
+        require_ending(self.principal_point, "principal_point", (2,))
+        require_ending(self.distortion, "distortion", (5,))
 
     @classmethod
     def create(
@@ -52,10 +62,37 @@ class Intrinsics:
         """Ideal image-plane coordinates (*B, 2) of pixels (*B, 2): the distortion is undone."""
         return undistort((pixels - self.principal_point) / self.focal, self.distortion)
 
+    def pixel_grid(self, height: int | None = None, width: int | None = None) -> Tensor:
+        """Centres (height, width, 2) of pixels of equal size that cover the image; by default its own pixels."""
+        rows, columns = height or self.height, width or self.width
+        y, x = (
+            (torch.arange(count, dtype=self.focal.dtype, device=self.focal.device) + 0.5) * (size / count)
+            for count, size in ((rows, self.height), (columns, self.width))
+        )
+        return torch.stack((x.expand(rows, -1), y[:, None].expand(-1, columns)), dim=-1)
+
     def contains(self, pixels: Tensor) -> Tensor:
         """Mask (*B) of pixels inside the image."""
         size = pixels.new_tensor((self.width, self.height))
         return ((pixels >= 0) & (pixels <= size)).all(dim=-1)
+
+    @property
+    def shape(self) -> torch.Size:
+        """The batch shape *B."""
+        return require_broadcasting(
+            focal=self.focal.shape[:-1],
+            principal_point=self.principal_point.shape[:-1],
+            distortion=self.distortion.shape[:-1],
+        )
+
+    def indexed(self, index: Any, batch: Sequence[int]) -> "Intrinsics":
+        """Those of some of the cameras of a batch (see `RefractiveCamera.__getitem__`)."""
+        return replace(
+            self,
+            focal=pick(self.focal, index, batch, 1),
+            principal_point=pick(self.principal_point, index, batch, 1),
+            distortion=pick(self.distortion, index, batch, 1),
+        )
 
     def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "Intrinsics":
         """The same in another dtype or on another device."""

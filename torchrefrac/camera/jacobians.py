@@ -1,8 +1,11 @@
 """Closed-form derivatives of the refractive projection.
 
-The apparent offset is (p_xy - c_xy, -H), so only H carries refraction: with M = d(pixel)/d(x_in_cam) @ R the
-derivative in the point is M with its third column spread by the four partials of H. No approximation is made
-(the paper holds the refrax ratio constant here).
+The apparent offset is e = u - H n (see `refraction.lift`), so that only H carries refraction. With v = p - c, its part
+v_n along the normal, H_h, H_d, H_D the derivatives of H in height, depth and D = |u|^2,
+
+    de/dp = I - n q^T,    q = (1 - H_d) n + 2 H_D u;        de/dc = -I - n r^T,    r = (H_h - 1) n - 2 H_D u,
+
+a rank-one change of the pinhole's derivative. No approximation is made (the paper holds the refrax ratio constant).
 """
 
 from typing import NamedTuple
@@ -10,18 +13,23 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchrefrac.camera.distortion import distort_with_jacobians
+from torchrefrac.camera.distortion import distort_components, distortion_slopes
 from torchrefrac.camera.intrinsics import Intrinsics
-from torchrefrac.refraction import lift_with_partials
-
-MIN_DEPTH = 1e-9
+from torchrefrac.camera.projection import MIN_DEPTH, View, in_camera, operands, view_of
+from torchrefrac.geometry import triples
+from torchrefrac.geometry.triples import Triple
+from torchrefrac.numerics import in_blocks
+from torchrefrac.refraction import FlatInterface
+from torchrefrac.refraction.lift import Lift, Sight, is_valid, solve_height_with_partials
 
 
 class ProjectionJacobians(NamedTuple):
     """Derivatives of pixels (*B, 2).
 
     rotation (*B, 2, 3): left perturbation, R <- exp([w]x) R, radians; center, point (*B, 2, 3): world frame;
-    focal (*B, 2, 2), principal_point (*B, 2, 2), distortion (*B, 2, 5); index_ratio (*B, 2).
+    focal (*B, 2, 2), principal_point (*B, 2, 2), distortion (*B, 2, 5); indices (*B, 2, L - 1): refractive index of
+    each layer behind the camera's, relative to the camera's; plane_tilt (*B, 2, 2), radians, and plane_height (*B, 2):
+    the coordinates of `Plane.moved`.
     """
 
     rotation: Tensor
@@ -30,42 +38,132 @@ class ProjectionJacobians(NamedTuple):
     focal: Tensor
     principal_point: Tensor
     distortion: Tensor
-    index_ratio: Tensor
+    indices: Tensor
+    plane_tilt: Tensor
+    plane_height: Tensor
+
+    @property
+    def index_ratio(self) -> Tensor:
+        """(*B, 2): derivative in the index of the last medium relative to the camera's."""
+        return self.indices[..., -1]
 
 
 def project_with_jacobians(
-    intrinsics: Intrinsics, rotation: Tensor, center: Tensor, points: Tensor, index_ratio: Tensor
+    intrinsics: Intrinsics, rotation: Tensor, center: Tensor, points: Tensor, interface: FlatInterface
 ) -> tuple[Tensor, ProjectionJacobians, Tensor]:
-    """Pixels (*B, 2), derivatives and validity (*B) of world points (*B, 3) seen by cameras of one batch shape.
+    """Pixels (*B, 2), derivatives and validity (*B) of world points (*B, 3) seen by cameras.
 
-    rotation (*B, 3, 3) cam_from_world, center (*B, 3), index_ratio (*B) or a scalar. Entries that are not valid
-    hold finite values.
+    rotation (*B, 3, 3) cam_from_world, center (*B, 3); batches broadcast. Entries that are not valid are finite.
     """
-    lift, valid = lift_with_partials(center, points, index_ratio)
-    x_in_cam = (rotation @ lift.offset[..., None])[..., 0]
-    ahead = x_in_cam[..., 2] > MIN_DEPTH
-    inverse_depth = torch.where(ahead, x_in_cam[..., 2], 1.0).reciprocal()
-    xy = x_in_cam[..., :2] * inverse_depth[..., None]
-    distorted, by_xy, by_distortion = distort_with_jacobians(xy, intrinsics.distortion)
-    pixels = distorted * intrinsics.focal + intrinsics.principal_point
 
-    to_pixel = by_xy * (inverse_depth[..., None, None] * intrinsics.focal[..., :, None])
-    last = -(to_pixel @ xy[..., None])
-    by_x_in_cam = torch.cat((to_pixel, last), dim=-1)
-    by_rotation = -torch.linalg.cross(by_x_in_cam, x_in_cam[..., None, :].expand_as(by_x_in_cam), dim=-1)
+    def block(first: Tensor, second: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
+        view = view_of(tensors, interface)
+        lift = solve_height_with_partials(view.sight, interface.camera_in_rarest)
+        return _differentiate(view, lift, tangents=(triples.split(first), triples.split(second)))
 
-    in_world = by_x_in_cam @ rotation
-    vertical = in_world[..., 2]
-    horizontal = in_world[..., :2] - vertical[..., None] * lift.by_horizontal[..., None, :]
-    by_point = torch.cat((horizontal, -(vertical * lift.by_point_z[..., None])[..., None]), dim=-1)
-    by_center = torch.cat((-horizontal, -(vertical * lift.by_center_z[..., None])[..., None]), dim=-1)
-    jacobians = ProjectionJacobians(
-        rotation=by_rotation,
-        center=by_center,
-        point=by_point,
-        focal=torch.diag_embed(distorted),
-        principal_point=torch.eye(2, dtype=pixels.dtype, device=pixels.device).expand(*pixels.shape, 2),
-        distortion=by_distortion * intrinsics.focal[..., :, None],
-        index_ratio=-vertical * lift.by_index[..., None],
+    tensors, event_dims = operands(intrinsics, rotation, center, points, interface)
+    tangents = interface.plane.tangents_like(points)
+    pixels, valid, *blocks = in_blocks(block, [*tangents, *tensors], [1, 1, *event_dims])
+    return pixels, ProjectionJacobians(*blocks), valid
+
+
+def _differentiate(view: View, lift: Lift, tangents: tuple[Triple, Triple]) -> tuple[Tensor, ...]:
+    x_in_cam = in_camera(view, lift.height)
+    ahead = x_in_cam[2] > MIN_DEPTH
+    inverse = torch.where(ahead, x_in_cam[2], 1.0).reciprocal()
+    x, y = x_in_cam[0] * inverse, x_in_cam[1] * inverse
+    u, v = distort_components(x, y, view.distortion)
+    slopes = distortion_slopes(x, y, view.distortion)
+    (fx, fy), (cx, cy) = view.focal, view.principal_point
+    bend = _bend(view.sight, lift, tangents)
+    axes = []
+    for f, along_x, along_y in ((fx, slopes.du_dx, slopes.mixed), (fy, slopes.mixed, slopes.dv_dy)):
+        by_x, by_y = f * inverse * along_x, f * inverse * along_y
+        by_offset = (by_x, by_y, -(by_x * x + by_y * y))
+        axes.append(_of_axis(view, bend, x_in_cam, by_offset))
+    zero, one = torch.zeros_like(u), torch.ones_like(u)
+    by_distortion = (*(fx * by for by in slopes.by_u), *(fy * by for by in slopes.by_v))
+    blocks = [_stack(u_part, v_part) for u_part, v_part in zip(*axes, strict=True)]
+    by_rotation, by_center, by_point, by_indices, by_tilt, by_height = blocks
+    return (
+        torch.stack((fx * u + cx, fy * v + cy), dim=-1),
+        is_valid(view.sight, lift.height) & ahead,
+        by_rotation,
+        by_center,
+        by_point,
+        _stack((u, zero), (zero, v)),
+        _stack((one, zero), (zero, one)),
+        _stack(by_distortion[:5], by_distortion[5:]),
+        by_indices,
+        by_tilt,
+        by_height[..., 0],
     )
-    return pixels, jacobians, valid & ahead
+
+
+class _Bend(NamedTuple):
+    """How the apparent offset e changes beyond the straight line's change.
+
+    In the point by -n q^T, in the centre by -n r^T; in each tilt by -n alpha - rise dn; in the height of the plane and
+    in each index by -n times these.
+    """
+
+    q: Triple
+    r: Triple
+    alpha: list[Tensor]
+    rise: Tensor
+    dn: list[Triple]
+    by_height: Tensor
+    by_index: list[Tensor]
+
+
+def _bend(sight: Sight, lift: Lift, tangents: tuple[Triple, Triple]) -> _Bend:
+    n, u = sight.normal, sight.horizontal
+    twice_by_distance_sq = 2.0 * lift.by_distance_sq
+    along_u = triples.scaled(twice_by_distance_sq, u)
+    first, second = tangents
+    dn = [triples.scaled(-torch.ones_like(second[0]), second), first]  # turning about t moves n by t x n
+    straight = triples.minus(sight.point, sight.center)
+    alpha = [
+        (1.0 - twice_by_distance_sq * sight.along) * triples.dot(straight, d)
+        + lift.by_height * triples.dot(sight.center, d)
+        - lift.by_depth * triples.dot(sight.point, d)
+        for d in dn
+    ]
+    return _Bend(
+        q=triples.add_scaled(along_u, 1.0 - lift.by_depth, n),
+        r=triples.add_scaled(triples.scaled(lift.by_height - 1.0, n), -twice_by_distance_sq, u),
+        alpha=alpha,
+        rise=sight.along + lift.height,
+        dn=dn,
+        by_height=lift.by_depth - lift.by_height,
+        by_index=lift.by_index,
+    )
+
+
+def _of_axis(view: View, bend: _Bend, x_in_cam: Triple, by_offset: Triple) -> tuple[tuple[Tensor, ...], ...]:
+    """Derivatives of one pixel coordinate, given that in the apparent offset in the camera's frame."""
+    g = by_offset if view.in_camera else _to_world(view, by_offset)
+    g_n = triples.dot(g, view.sight.normal)
+    by_point = triples.add_scaled(g, -g_n, bend.q)
+    if view.in_camera:
+        by_rotation = triples.cross(view.sight.point, by_point)
+        by_point = _to_world(view, by_point)
+        by_center = (-by_point[0], -by_point[1], -by_point[2])
+    else:
+        by_rotation = triples.cross(x_in_cam, by_offset)
+        by_center = triples.add_scaled((-g[0], -g[1], -g[2]), -g_n, bend.r)
+    by_tilt = [-alpha * g_n - bend.rise * triples.dot(g, dn) for alpha, dn in zip(bend.alpha, bend.dn, strict=True)]
+    by_indices = [-g_n * by for by in bend.by_index]
+    return by_rotation, by_center, by_point, tuple(by_indices), tuple(by_tilt), (-g_n * bend.by_height,)
+
+
+def _to_world(view: View, row: Triple) -> Triple:
+    """A row vector in the camera's frame times cam_from_world: row R."""
+    first, second, third = view.rotation
+    return triples.add_scaled(triples.add_scaled(triples.scaled(row[0], first), row[1], second), row[2], third)
+
+
+def _stack(u_part: tuple[Tensor, ...], v_part: tuple[Tensor, ...]) -> Tensor:
+    """(*B, 2, k) from the k derivatives of u and those of v."""
+    entries = torch.broadcast_tensors(*u_part, *v_part)
+    return torch.stack(entries, dim=-1).unflatten(-1, (2, len(u_part)))

@@ -1,83 +1,207 @@
-"""A camera above a flat water surface."""
+"""A camera that looks through flat layers."""
 
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchrefrac.camera.intrinsics import Intrinsics
-from torchrefrac.camera.jacobians import MIN_DEPTH, ProjectionJacobians, project_with_jacobians
+from torchrefrac.camera.jacobians import ProjectionJacobians, project_with_jacobians
+from torchrefrac.camera.projection import project
+from torchrefrac.checks import (
+    at_least_single,
+    holds_everywhere,
+    require,
+    require_broadcasting,
+    require_ending,
+    unwrapped,
+)
+from torchrefrac.geometry import Plane, rotate
+from torchrefrac.numerics import pick
 from torchrefrac.refraction import FlatInterface, lift_points, refract_rays
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RefractiveCamera:
-    """A batch of cameras in air that look at points under water (or above it) through `interface`.
+    """A batch of cameras that look at points beyond `interface`, or on their own side of it.
 
-    cam_from_world_rotation (*B, 3, 3), camera x right, y down, z forward; center_in_world (*B, 3), world z up
-    with the water surface at z = 0. The batch broadcasts against the leading dimensions of what is projected:
-    give points (N, 3) to one camera, or index a batch of M cameras as `camera[:, None]` for an (M, N) grid.
+    cam_from_world_rotation (*B, 3, 3), camera x right, y down, z forward; center_in_world (*B, 3), world z up. The
+    interface is by default a water surface at z = 0. The batch broadcasts against the leading dimensions of what is
+    projected: give points (N, 3) to one camera, or index a batch of M cameras as `camera[:, None]` for an (M, N) grid.
+
+    Raises ValueError for shapes that do not fit, values that are not finite, and a camera that does not stand on its
+    side of the interface. check=False leaves out the look at values, which waits for a GPU: steps of an optimiser may
+    put a camera under water; what it sees is then not valid.
     """
 
     intrinsics: Intrinsics
     cam_from_world_rotation: Tensor
     center_in_world: Tensor
     interface: FlatInterface
+    check: InitVar[bool] = True
 
-    def __post_init__(self) -> None:
-        if self.cam_from_world_rotation.shape[-2:] != (3, 3):
-            shape = tuple(self.cam_from_world_rotation.shape)
-            raise ValueError(f"cam_from_world_rotation has shape {shape}, but must end in (3, 3)")
-        if self.center_in_world.shape[-1:] != (3,):
-            raise ValueError(f"center_in_world has shape {tuple(self.center_in_world.shape)}, but must end in (3,)")
+    def __post_init__(self, check: bool) -> None:
+        require_ending(self.cam_from_world_rotation, "cam_from_world_rotation", (3, 3))
+        require_ending(self.center_in_world, "center_in_world", (3,))
+        object.__setattr__(self, "cam_from_world_rotation", at_least_single(self.cam_from_world_rotation))
+        object.__setattr__(self, "center_in_world", at_least_single(self.center_in_world))
+        _ = self.shape
+        if check:
+            require(self.cam_from_world_rotation, "cam_from_world_rotation")
+            require(self.center_in_world, "center_in_world")
+            self._require_on_its_side()
 
     def __getitem__(self, index: Any) -> "RefractiveCamera":
         """Index the batch dimensions as one indexes a tensor: `camera[3]`, `camera[:, None]`.
 
-        What is not batched, but shared by all cameras (intrinsics, index ratio), stays shared.
+        What is not batched, but shared by all cameras (intrinsics, interface), stays shared.
         """
-        ratio = self.interface.index_ratio
-        interface = FlatInterface(ratio[index]) if isinstance(ratio, Tensor) and ratio.dim() else self.interface
-        lens = self.intrinsics
-        if lens.focal.dim() > 1:
-            focal, principal, distortion = lens.focal, lens.principal_point, lens.distortion
-            lens = Intrinsics(lens.width, lens.height, focal[index], principal[index], distortion[index])
-        return RefractiveCamera(lens, self.cam_from_world_rotation[index], self.center_in_world[index], interface)
+        batch = self.shape
+        return RefractiveCamera(
+            self.intrinsics.indexed(index, batch),
+            pick(self.cam_from_world_rotation, index, batch, 2),
+            pick(self.center_in_world, index, batch, 1),
+            self.interface.indexed(index, batch),
+            check=False,
+        )
 
-    def project(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
-        """Pixels (*B, 2) of world points (*B, 3), and a mask (*B) of those in front of a camera above water.
+    @property
+    def shape(self) -> torch.Size:
+        """The batch shape *B."""
+        return require_broadcasting(
+            cam_from_world_rotation=self.cam_from_world_rotation.shape[:-2],
+            center_in_world=self.center_in_world.shape[:-1],
+            intrinsics=self.intrinsics.shape,
+            interface=self.interface.shape,
+        )
 
-        Exact (Chang & Chen, Eq. 21); differentiable in the points, the pose, the intrinsics and the index ratio.
+    def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "RefractiveCamera":
+        """The same in another dtype or on another device."""
+        return RefractiveCamera(
+            self.intrinsics.to(dtype=dtype, device=device),
+            self.cam_from_world_rotation.to(dtype=dtype, device=device),
+            self.center_in_world.to(dtype=dtype, device=device),
+            self.interface.to(dtype=dtype, device=device),
+            check=False,
+        )
+
+    def project(
+        self, points_in_world: Tensor, *, inside_image: bool = False, beyond_only: bool = False
+    ) -> tuple[Tensor, Tensor]:
+        """Pixels (*B, 2) of world points (*B, 3), and a mask (*B) of what the camera can see.
+
+        Exact (Chang & Chen, Eq. 21, for one water surface); differentiable in the points, the pose, the intrinsics and
+        all of the interface. Points on the camera's side are seen straight: land and water in one call. Not valid: a
+        point behind the camera, a camera on the wrong side of its interface; with `inside_image` what lies outside the
+        image; with `beyond_only` points on the camera's side. What is not valid is finite.
         """
-        index = self.interface.index_like(points_in_world)
-        offset, valid = lift_points(self.center_in_world, points_in_world, index)
-        x_in_cam = (self.cam_from_world_rotation @ offset[..., None])[..., 0]
-        ahead = x_in_cam[..., 2] > MIN_DEPTH
-        depth = torch.where(ahead, x_in_cam[..., 2], 1.0)
-        return self.intrinsics.pixels_from_plane(x_in_cam[..., :2] / depth[..., None]), valid & ahead
+        points = self._checked(points_in_world, "points_in_world", 3)
+        pixels, valid, beyond = project(
+            self.intrinsics, self.cam_from_world_rotation, self.center_in_world, points, self.interface
+        )
+        if beyond_only:
+            valid = valid & beyond
+        if inside_image:
+            valid = valid & self.intrinsics.contains(pixels)
+        return pixels, valid
 
     def project_with_jacobians(self, points_in_world: Tensor) -> tuple[Tensor, ProjectionJacobians, Tensor]:
         """Pixels, their closed-form derivatives and the mask of `project`."""
+        points = self._checked(points_in_world, "points_in_world", 3)
         return project_with_jacobians(
-            self.intrinsics,
-            self.cam_from_world_rotation,
-            self.center_in_world,
-            points_in_world,
-            self.interface.index_like(points_in_world),
+            self.intrinsics, self.cam_from_world_rotation, self.center_in_world, points, self.interface
         )
 
     def cast_rays(self, pixels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The rays in the water that pixels (*B, 2) see.
+        """The rays in the last medium that pixels (*B, 2) see, in the world frame.
 
-        Returns the refrax points on the surface (*B, 3), unit directions in the water (*B, 3), and a mask (*B):
-        False for rays that do not meet the water, which are returned straight, from the centre.
+        Returns where they enter it (*B, 3), unit directions there (*B, 3), and a mask (*B): False for rays that do not
+        meet the interface or are totally reflected, which are returned straight, from the centre.
         """
-        index = self.interface.index_like(pixels)
-        return refract_rays(self.center_in_world, self.view_directions(pixels), index)
+        pixels = self._checked(pixels, "pixels", 2)
+        if not self.interface.moves_with_camera:
+            return refract_rays(self.center_in_world, self.view_directions(pixels), self.interface)
+        origin = torch.zeros_like(self.center_in_world)
+        origins, directions, valid = refract_rays(origin, self._directions_in_cam(pixels), self.interface)
+        world_from_cam = self.cam_from_world_rotation.mT
+        return rotate(world_from_cam, origins) + self.center_in_world, rotate(world_from_cam, directions), valid
+
+    def rays(self, height: int | None = None, width: int | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        """`cast_rays` for a whole image: origins and unit directions (*B, height, width, 3), mask (*B, height, width).
+
+        The grid covers the image with pixels of equal size; by default it is the image's own.
+        """
+        grid = self.intrinsics.pixel_grid(height, width)
+        return self[..., None, None].cast_rays(grid)
 
     def view_directions(self, pixels: Tensor) -> Tensor:
-        """Unit viewing directions in air, in the world frame: (*B, 2) -> (*B, 3)."""
+        """Unit viewing directions in the camera's medium, in the world frame: (*B, 2) -> (*B, 3)."""
+        return rotate(self.cam_from_world_rotation.mT, self._directions_in_cam(pixels))
+
+    def as_pinhole(self) -> "RefractiveCamera":
+        """The same camera without an interface: what every ordinary reconstruction takes it for."""
+        return replace(self, interface=FlatInterface(1.0), check=False)
+
+    def apparent_points(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
+        """Where points (*B, 3) appear to be, in the world frame (*B, 3): lifted along the normal; and the mask (*B)."""
+        points = self._checked(points_in_world, "points_in_world", 3)
+        offset, valid = self._offsets(points)
+        if self.interface.moves_with_camera:
+            offset = rotate(self.cam_from_world_rotation.mT, offset)
+        return self.center_in_world + offset, valid
+
+    def apparent_depth(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
+        """How far below the first surface points appear to be (*B), negative on the camera's side; and the mask."""
+        apparent, valid = self.apparent_points(points_in_world)
+        return -self.plane_in_world().signed_distance(apparent), valid
+
+    def incidence_angle(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
+        """Angle (*B, radians) between the ray to each point in the camera's medium and the normal; and the mask."""
+        points = self._checked(points_in_world, "points_in_world", 3)
+        offset, valid = self._offsets(points)
+        normal = self.interface.plane.normal_like(offset)
+        across = torch.linalg.cross(normal.expand_as(offset), offset, dim=-1).norm(dim=-1)
+        return torch.atan2(across, -(normal * offset).sum(dim=-1)), valid
+
+    def refraction_shift(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
+        """By how many pixels (*B, 2) refraction moves the image of each point; and where both images are valid (*B)."""
+        bent, valid = self.project(points_in_world)
+        straight, visible = self.as_pinhole().project(points_in_world)
+        return bent - straight, valid & visible
+
+    def plane_in_world(self) -> Plane:
+        """The first surface in the world frame."""
+        plane = self.interface.plane
+        if not self.interface.moves_with_camera:
+            return plane
+        world_from_cam = self.cam_from_world_rotation.mT
+        return plane.in_frame(world_from_cam, -rotate(self.cam_from_world_rotation, self.center_in_world))
+
+    def _offsets(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Apparent offsets in the interface's frame."""
+        if not self.interface.moves_with_camera:
+            return lift_points(self.center_in_world, points, self.interface)
+        in_cam = rotate(self.cam_from_world_rotation, points - self.center_in_world)
+        return lift_points(torch.zeros_like(self.center_in_world), in_cam, self.interface)
+
+    def _directions_in_cam(self, pixels: Tensor) -> Tensor:
         xy = self.intrinsics.plane_from_pixels(pixels)
-        in_cam = torch.nn.functional.normalize(torch.cat((xy, torch.ones_like(xy[..., :1])), dim=-1), dim=-1)
-        return (self.cam_from_world_rotation.mT @ in_cam[..., None])[..., 0]
+        return torch.nn.functional.normalize(torch.cat((xy, torch.ones_like(xy[..., :1])), dim=-1), dim=-1)
+
+    def _checked(self, value: Tensor, name: str, components: int) -> Tensor:
+        """Of at least single precision and a shape that broadcasts against the cameras."""
+        require_ending(value, name, (components,))
+        require_broadcasting(**{name: value.shape[:-1], "camera": self.shape})
+        return at_least_single(value)
+
+    def _require_on_its_side(self) -> None:
+        if self.interface.moves_with_camera:
+            height = self.interface.plane.signed_distance(torch.zeros_like(self.center_in_world))
+        else:
+            height = self.interface.plane.signed_distance(self.center_in_world)
+        if not holds_everywhere((height > 0) | ~self.interface.refracts().to(height.device)):
+            raise ValueError(
+                f"center_in_world is {-float(unwrapped(height).min()):g} behind the interface somewhere, "
+                "but must be on the side that its normal points to (above a water surface)"
+            )

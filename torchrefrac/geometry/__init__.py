@@ -2,9 +2,11 @@
 
 from torchrefrac.geometry.alignment import Similarity, align_above_plane, align_similarity
 from torchrefrac.geometry.gravity import heading_rotation, level_rotation, split_heading
+from torchrefrac.geometry.plane import Plane
 from torchrefrac.geometry.rotation import rotate, skew, so3_exp, so3_log
 
 __all__ = [
+    "Plane",
     "Similarity",
     "align_above_plane",
     "align_similarity",

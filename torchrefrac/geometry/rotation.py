@@ -12,8 +12,12 @@ def skew(v: Tensor) -> Tensor:
 
 
 def rotate(rotation: Tensor, v: Tensor) -> Tensor:
-    """Matrix times vector over broadcast batches: (*B, 3, 3), (*B, 3) -> (*B, 3)."""
-    return (rotation @ v[..., None])[..., 0]
+    """Matrix times vector over broadcast batches: (*B, 3, 3), (*B, 3) -> (*B, 3).
+
+    Multiplied out, not by a matrix product, which autocast would do in half precision and a GPU in TF32.
+    """
+    x, y, z = v[..., None].unbind(dim=-2)
+    return rotation[..., 0] * x + rotation[..., 1] * y + rotation[..., 2] * z
 
 
 def so3_exp(omega: Tensor) -> Tensor:
@@ -24,9 +28,9 @@ def so3_exp(omega: Tensor) -> Tensor:
     angle = safe.sqrt()
     a = torch.where(small, 1.0 - angle_sq / 6.0, angle.sin() / angle)[..., None, None]
     b = torch.where(small, 0.5 - angle_sq / 24.0, (1.0 - angle.cos()) / safe)[..., None, None]
-    cross = skew(omega)
     identity = torch.eye(3, dtype=omega.dtype, device=omega.device)
-    return identity + a * cross + b * (cross @ cross)
+    outer = omega[..., :, None] * omega[..., None, :]
+    return identity + a * skew(omega) + b * (outer - angle_sq[..., None, None] * identity)
 
 
 def so3_log(rotation: Tensor) -> Tensor:

@@ -1,13 +1,19 @@
 """Batched numerical building blocks that know no geometry."""
 
+from torchrefrac.numerics.blocks import in_blocks
 from torchrefrac.numerics.circle import least_squares_on_circle
+from torchrefrac.numerics.indexing import pick
+from torchrefrac.numerics.likeness import like
 from torchrefrac.numerics.polynomial import real_roots
 from torchrefrac.numerics.segments import segment_sum
 from torchrefrac.numerics.small import inverse_cholesky_3x3, smallest_eigenvector_2x2
 
 __all__ = [
+    "in_blocks",
     "inverse_cholesky_3x3",
     "least_squares_on_circle",
+    "like",
+    "pick",
     "real_roots",
     "segment_sum",
     "smallest_eigenvector_2x2",

@@ -6,6 +6,7 @@ from torch import Tensor
 from torchrefrac.geometry import heading_rotation
 from torchrefrac.minimal import absolute_pose_2pt, absolute_pose_lsqi
 from torchrefrac.ransac.relative import level_rays, plane_error
+from torchrefrac.refraction import FlatInterface
 
 
 class AbsolutePoseEstimator:
@@ -22,6 +23,7 @@ class AbsolutePoseEstimator:
     ) -> None:
         self._plane, self._points = plane, points
         self._cam_from_level, self._focal, self._index_ratio = cam_from_level, focal, index_ratio
+        self._interface = FlatInterface(index_ratio)
         self._rays = level_rays(plane, cam_from_level)
 
     @property
@@ -42,6 +44,6 @@ class AbsolutePoseEstimator:
     def squared_errors(self, models: Tensor) -> Tensor:
         rotation = self._cam_from_level @ heading_rotation(models[:, 0])
         error, ahead = plane_error(
-            self._points[None], models[:, None, 1:], rotation, self._plane, self._focal, self._index_ratio
+            self._points[None], models[:, None, 1:], rotation, self._plane, self._focal, self._interface
         )
         return torch.where(ahead, error, torch.inf)

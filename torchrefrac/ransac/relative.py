@@ -6,7 +6,7 @@ from torch import Tensor
 from torchrefrac.geometry import heading_rotation
 from torchrefrac.minimal import relative_pose_npt
 from torchrefrac.minimal.rays import slopes
-from torchrefrac.refraction import lift_points
+from torchrefrac.refraction import FlatInterface, lift_points
 
 
 class RelativePoseEstimator:
@@ -32,7 +32,7 @@ class RelativePoseEstimator:
         self.height = height
         self._plane1, self._plane2 = plane1, plane2
         self._cam1_from_level, self._cam2_from_level = cam1_from_level, cam2_from_level
-        self._focal, self._index_ratio = focal, index_ratio
+        self._focal, self._index_ratio, self._interface = focal, index_ratio, FlatInterface(index_ratio)
         self._rays1 = level_rays(plane1, cam1_from_level)
         self._rays2 = level_rays(plane2, cam2_from_level)
         self._m1, self._g1 = slopes(self._rays1, index_ratio)
@@ -82,7 +82,7 @@ class RelativePoseEstimator:
         return torch.cat((heading[..., None], center), dim=-1), valid
 
     def _error(self, points: Tensor, center: Tensor, rotation: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
-        return plane_error(points, center, rotation, plane, self._focal, self._index_ratio)
+        return plane_error(points, center, rotation, plane, self._focal, self._interface)
 
 
 def level_rays(plane: Tensor, cam_from_level: Tensor) -> Tensor:
@@ -91,7 +91,7 @@ def level_rays(plane: Tensor, cam_from_level: Tensor) -> Tensor:
 
 
 def plane_error(
-    points: Tensor, center: Tensor, rotation: Tensor, plane: Tensor, focal: Tensor, index_ratio: Tensor
+    points: Tensor, center: Tensor, rotation: Tensor, plane: Tensor, focal: Tensor, interface: FlatInterface
 ) -> tuple[Tensor, Tensor]:
     """Squared reprojection error in pixels (H, N) of points (H, N, 3) or (N, 3), and which lie ahead.
 
@@ -99,7 +99,7 @@ def plane_error(
     undone in `plane`, and a pixel there is a focal length's part.
     """
     center, points = torch.broadcast_tensors(center, points)
-    offset, valid = lift_points(center, points, index_ratio)
+    offset, valid = lift_points(center, points, interface)
     x, y, z = (offset @ rotation.mT).unbind(dim=-1)
     ahead = valid & (z > 0.0)
     inverse = torch.where(ahead, z, 1.0).reciprocal()

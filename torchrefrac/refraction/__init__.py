@@ -1,17 +1,21 @@
-"""Refraction at a flat water surface z = 0: the Snell solve, its derivatives, lifted points and bent rays."""
+"""Refraction at flat layers: the solve and its derivatives, lifted points, bent rays, the index of water."""
 
 from torchrefrac.refraction.interface import FlatInterface
-from torchrefrac.refraction.lift import Lift, lift_points, lift_with_partials
+from torchrefrac.refraction.layers import HeightPartials, apparent_height, apparent_height_partials
+from torchrefrac.refraction.lift import lift_points
 from torchrefrac.refraction.rays import refract_rays
-from torchrefrac.refraction.snell import apparent_height, apparent_height_partials, solve_refrax
+from torchrefrac.refraction.snell import solve_refrax
+from torchrefrac.refraction.water import FRESH_WATER, SEA_WATER, water_index
 
 __all__ = [
+    "FRESH_WATER",
+    "SEA_WATER",
     "FlatInterface",
-    "Lift",
+    "HeightPartials",
     "apparent_height",
     "apparent_height_partials",
     "lift_points",
-    "lift_with_partials",
     "refract_rays",
     "solve_refrax",
+    "water_index",
 ]

@@ -1,77 +1,203 @@
 """Points lifted to where they appear to be: refraction as a change of the point, before any lens.
 
-Seen from the centre c, the point p appears in the direction of `offset` = (p_xy - c_xy, -H). A pinhole that
-looks along `offset` completes the exact projection of Chang & Chen, Eq. 21.
+Seen from the centre c through layers with the unit normal n, the point p appears in the direction of
+offset = u - H n: u is the part of p - c along the layers, H the apparent height (see `layers`). A pinhole that
+looks along `offset` completes the exact projection (Chang & Chen, ICCV 2011, Eq. 21, for one water surface).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchrefrac.refraction.snell import apparent_height, apparent_height_partials
+from torchrefrac.geometry import triples
+from torchrefrac.geometry.triples import Triple
+from torchrefrac.numerics import in_blocks
+from torchrefrac.refraction.interface import FlatInterface, split_parameters
+from torchrefrac.refraction.layers import HeightPartials, apparent_height, apparent_height_partials
+
+
+class Sight(NamedTuple):
+    """A camera, a point and the layers between them; everything (*B) or three of them.
+
+    height: of the camera above the first surface; beyond: of the point below it, negative on the camera's side;
+    along: p - c along the normal; horizontal: the rest of p - c; distance_sq: its square; bent: whether light is
+    refracted on the way: where not, safe_height and thickness can be solved all the same. thickness: the way through
+    each layer behind the camera's; index of each, relative to the camera's; ends_here: whether the point lies in it.
+    """
+
+    center: Triple
+    point: Triple
+    normal: Triple
+    height: Tensor
+    beyond: Tensor
+    along: Tensor
+    horizontal: Triple
+    distance_sq: Tensor
+    bent: Tensor
+    safe_height: Tensor
+    thickness: list[Tensor]
+    index: list[Tensor]
+    ends_here: list[Tensor]
 
 
 class Lift(NamedTuple):
-    """Apparent offsets and how their vertical part changes; the horizontal part is simply p_xy - c_xy.
+    """Apparent height H (*B) and its derivatives: in the camera's height above the first surface, in the point's depth
+    below it, in the squared horizontal distance, and in the index of every later layer relative to the camera's."""
 
-    offset (*B, 3); H's derivatives: by_center_z, by_point_z, by_index (*B), by_horizontal (*B, 2) in p_xy.
+    height: Tensor
+    by_height: Tensor
+    by_depth: Tensor
+    by_distance_sq: Tensor
+    by_index: list[Tensor]
+
+
+def lift_points(center: Tensor, points: Tensor, interface: FlatInterface) -> tuple[Tensor, Tensor]:
+    """Apparent offset (*B, 3) of points (*B, 3) seen from `center` (*B, 3), and a validity mask (*B).
+
+    All in the interface's frame. Points on the camera's side of the first surface are seen where they are. An entry
+    that is not valid (centre not on the camera's side) gets the straight offset. Without refraction the
+    offset is p - c to the last bit and always valid.
     """
+    if interface.is_absent:
+        offset = points - center
+        return offset, torch.ones_like(offset[..., 0], dtype=torch.bool)
 
-    offset: Tensor
-    by_center_z: Tensor
-    by_point_z: Tensor
-    by_horizontal: Tensor
-    by_index: Tensor
+    def lift(center: Tensor, points: Tensor, *parameters: Tensor) -> tuple[Tensor, Tensor]:
+        sight = look(triples.split(center), triples.split(points), parameters)
+        height = solve_height(sight, interface.camera_in_rarest)
+        return torch.stack(offset_components(sight, height), dim=-1), is_valid(sight, height)
+
+    parameters = interface.parameters(points)
+    offset, valid = in_blocks(lift, (center, points, *parameters), (1, 1, 1, *(0 for _ in parameters[1:])))
+    return offset, valid
 
 
-def lift_points(center: Tensor, points: Tensor, index_ratio: Tensor) -> tuple[Tensor, Tensor]:
-    """Apparent offset (*B, 3) of world points seen from `center` above z = 0, and a validity mask (*B).
+def look(center: Triple, point: Triple, parameters: Sequence[Tensor]) -> Sight:
+    """Take the sight line apart; `parameters` are those of `FlatInterface.parameters`."""
+    normal, offset, (first, *index), inner = split_parameters(parameters)
+    n = triples.split(normal)
+    straight = triples.minus(point, center)
+    along = triples.dot(n, straight)
+    height, beyond = triples.dot(n, center) - offset, offset - triples.dot(n, point)
+    horizontal = triples.add_scaled(straight, -along, n)
+    bent = (height > 0) & (beyond > 0)
+    thickness, ends_here, passed = [], [], torch.zeros_like(offset)
+    for d in inner:
+        rest = beyond - passed
+        thickness.append(torch.where(bent, torch.minimum(rest.clamp(min=0.0), d), 0.0))
+        ends_here.append((rest > 0) & (rest <= d))
+        passed = passed + d
+    rest = beyond - passed if inner else beyond
+    thickness.append(torch.where(bent & (rest > 0), rest, 0.0))
+    ends_here.append(rest > 0)
+    return Sight(
+        center=center,
+        point=point,
+        normal=n,
+        height=height,
+        beyond=beyond,
+        along=along,
+        horizontal=horizontal,
+        distance_sq=triples.dot(horizontal, horizontal),
+        bent=bent,
+        safe_height=torch.where(bent, height, 1.0),
+        thickness=thickness,
+        index=[n_i / first for n_i in index],
+        ends_here=ends_here,
+    )
 
-    Points at z >= 0 lie in air and are seen where they are. An invalid entry (centre not above the water)
-    gets the straight offset. At index ratio 1 the offset is p - c to the last bit and always valid.
+
+def solve_height(sight: Sight, camera_in_rarest: bool) -> Tensor:
+    """Apparent height H (*B); where nothing is refracted that of the straight line, to the last bit."""
+    apparent, _, reference = _solve(sight, camera_in_rarest)
+    return _finish(sight, _seen_from_camera(sight, apparent, reference))
+
+
+def solve_height_with_partials(sight: Sight, camera_in_rarest: bool) -> Lift:
+    """`solve_height` together with its closed-form derivatives."""
+    apparent, terms, reference = _solve(sight, camera_in_rarest)
+    partials = apparent_height_partials(apparent, *terms)
+    height = _seen_from_camera(sight, apparent, reference)
+    if reference is None:
+        by_height, by_layer, by_index = partials.by_clear, list(partials.by_thickness), list(partials.by_index)
+        by_distance_sq = partials.by_distance_sq
+    else:
+        by_height, by_layer, by_index, by_distance_sq = _chain(partials, sight, apparent, height, reference)
+    by_depth = sum(torch.where(here, by, 0.0) for here, by in zip(sight.ends_here, by_layer, strict=True))
+    assert isinstance(by_depth, Tensor)
+    return Lift(
+        height=_finish(sight, height),
+        by_height=torch.where(sight.bent, by_height, 1.0),
+        by_depth=torch.where(sight.bent, by_depth, 1.0),
+        by_distance_sq=torch.where(sight.bent, by_distance_sq, 0.0),
+        by_index=[torch.where(sight.bent, by, 0.0) for by in by_index],
+    )
+
+
+def offset_components(sight: Sight, height: Tensor) -> Triple:
+    """u - H n."""
+    return triples.add_scaled(sight.horizontal, -height, sight.normal)
+
+
+def is_valid(sight: Sight, height: Tensor) -> Tensor:
+    """Mask (*B): the camera stands on its side of the first surface, or nothing refracts."""
+    return ((sight.height > 0) | _same_media(sight)) & height.isfinite()
+
+
+def _solve(sight: Sight, camera_in_rarest: bool) -> tuple[Tensor, tuple, Tensor | None]:
+    """G, the terms it was solved from, and the index of the camera's medium relative to the rarest (None: 1)."""
+    if camera_in_rarest:
+        terms = _alike(sight.distance_sq, sight.safe_height, sight.thickness, sight.index)
+        return apparent_height(*terms), terms, None
+    one = torch.ones_like(sight.index[0])
+    rarest = one
+    for d, n in zip(sight.thickness, sight.index, strict=True):
+        rarest = torch.where(d > 0, torch.minimum(rarest, n.detach()), rarest)
+    index = [one / rarest, *(torch.where(n < rarest, 1.0, n / rarest) for n in sight.index)]
+    thickness = [sight.safe_height, *sight.thickness]
+    terms = _alike(sight.distance_sq, torch.zeros_like(sight.safe_height), thickness, index)
+    return apparent_height(*terms), terms, index[0]
+
+
+def _alike(
+    distance_sq: Tensor, clear: Tensor, thickness: Sequence[Tensor], index: Sequence[Tensor]
+) -> tuple[Tensor, Tensor, Sequence[Tensor], Sequence[Tensor]]:
+    distance_sq, clear, *layers = torch.broadcast_tensors(distance_sq, clear, *thickness, *index)
+    return distance_sq, clear, layers[: len(thickness)], layers[len(thickness) :]
+
+
+def _seen_from_camera(sight: Sight, apparent: Tensor, reference: Tensor | None) -> Tensor:
+    if reference is None:
+        return apparent
+    excess = (reference - 1.0) * (reference + 1.0)
+    return (reference.square() * apparent.square() + excess * sight.distance_sq).sqrt()
+
+
+def _chain(
+    partials: HeightPartials, sight: Sight, apparent: Tensor, height: Tensor, reference: Tensor
+) -> tuple[Tensor, list[Tensor], list[Tensor], Tensor]:
+    """From derivatives of G to those of H = sqrt(n_0^2 G^2 + (n_0^2 - 1) D), n_0 = `reference`.
+
+    H depends on ratios of indices only, so its derivative in n_i / n_0 is n_0 times that in n_i.
     """
-    straight, wet, terms = _terms(center, points, index_ratio)
-    offset = _offset(straight, wet, apparent_height(*terms))
-    return offset, _is_valid(center, offset, index_ratio)
+    slope = reference.square() * apparent / height
+    by_height, *by_layer = (slope * by for by in partials.by_thickness)
+    by_index = [reference * slope * by for by in partials.by_index[1:]]
+    excess = (reference - 1.0) * (reference + 1.0)
+    return by_height, by_layer, by_index, slope * partials.by_distance_sq + 0.5 * excess / height
 
 
-def lift_with_partials(center: Tensor, points: Tensor, index_ratio: Tensor) -> tuple[Lift, Tensor]:
-    """`lift_points` together with the closed-form derivatives of the vertical part."""
-    straight, wet, terms = _terms(center, points, index_ratio)
-    lifted = apparent_height(*terms)
-    by_height, by_depth, by_distance_sq, by_index = apparent_height_partials(lifted, *terms)
-    one, zero = torch.ones_like(lifted), torch.zeros_like(lifted)
-    offset = _offset(straight, wet, lifted)
-    lift = Lift(
-        offset=offset,
-        by_center_z=torch.where(wet, by_height, one),
-        by_point_z=torch.where(wet, -by_depth, -one),
-        by_horizontal=(2.0 * torch.where(wet, by_distance_sq, zero))[..., None] * straight[..., :2],
-        by_index=torch.where(wet, by_index, zero),
-    )
-    return lift, _is_valid(center, offset, index_ratio)
+def _finish(sight: Sight, height: Tensor) -> Tensor:
+    """The straight line's height where nothing is refracted; its derivative in the index survives there."""
+    straight = -sight.along
+    exact = torch.where(_same_media(sight), height + (straight - height).detach(), height)
+    return torch.where(sight.bent, exact, straight)
 
 
-def _terms(
-    center: Tensor, points: Tensor, index_ratio: Tensor
-) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor, Tensor, Tensor]]:
-    """Straight offset, mask of refracted points, and (height, depth, distance_sq, index) safe to solve."""
-    straight = points - center
-    depth = -points[..., 2]
-    height, depth, index, horizontal_sq = torch.broadcast_tensors(
-        center[..., 2], depth, index_ratio, straight[..., :2].square().sum(dim=-1)
-    )
-    wet = (depth > 0) & (height > 0) & (index > 1)
-    safe_height = torch.where(wet, height, 1.0)
-    safe_depth = torch.where(wet, depth, 0.0)
-    return straight, wet, (safe_height, safe_depth, horizontal_sq, torch.where(wet, index, 1.0))
-
-
-def _offset(straight: Tensor, wet: Tensor, lifted: Tensor) -> Tensor:
-    vertical = torch.where(wet, -lifted, straight[..., 2])
-    return torch.cat((straight[..., :2].expand(*vertical.shape, 2), vertical[..., None]), dim=-1)
-
-
-def _is_valid(center: Tensor, offset: Tensor, index_ratio: Tensor) -> Tensor:
-    return (center[..., 2] > 0) | (index_ratio <= 1) & torch.isfinite(offset[..., 2])
+def _same_media(sight: Sight) -> Tensor:
+    same = sight.index[0] == 1.0
+    for n in sight.index[1:]:
+        same = same & (n == 1.0)
+    return same

@@ -1,25 +1,53 @@
-"""Back projection: rays bent at the water surface (Chang & Chen, ICCV 2011, Eq. 6 to 9)."""
+"""Back projection: rays bent at flat layers (Chang & Chen, ICCV 2011, Eq. 6 to 9, for one water surface)."""
 
 import torch
 from torch import Tensor
 
+from torchrefrac.geometry import triples
+from torchrefrac.numerics import in_blocks
+from torchrefrac.refraction.interface import FlatInterface, split_parameters
 
-def refract_rays(center: Tensor, direction: Tensor, index_ratio: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Follow viewing rays through the surface z = 0.
 
-    center (*B, 3), above the water; direction (*B, 3) in air, of any length; index_ratio broadcasts.
-    Returns the refrax on the surface (*B, 3), the unit direction in the water (*B, 3), and a mask (*B):
-    False where the ray does not go down or the centre is not above the water. There the ray is returned as it
-    came, from the centre.
+def refract_rays(center: Tensor, direction: Tensor, interface: FlatInterface) -> tuple[Tensor, Tensor, Tensor]:
+    """Follow viewing rays through all layers of the interface, in its frame.
+
+    center (*B, 3), on the camera's side; direction (*B, 3) in the camera's medium, of any length. Returns where the ray
+    enters the last medium (*B, 3), its unit direction there (*B, 3), and a mask (*B): False where the ray does not
+    go towards the interface, is totally reflected on the way, or starts on the wrong side. There the ray is
+    returned as it came, from the centre. Without refraction every ray that meets the plane is valid.
     """
-    center, direction, _ = torch.broadcast_tensors(center, direction, index_ratio[..., None])
-    unit = torch.nn.functional.normalize(direction, dim=-1)
-    valid = (unit[..., 2] < 0) & (center[..., 2] > 0)
-    down = torch.where(valid, unit[..., 2], -1.0)
-    refrax = center - (center[..., 2] / down)[..., None] * unit
-    refrax = torch.cat((refrax[..., :2], torch.zeros_like(refrax[..., :1])), dim=-1)
-    horizontal = unit[..., :2] / index_ratio[..., None]
-    vertical = -(down.square() + (index_ratio - 1.0) * (index_ratio + 1.0)).sqrt() / index_ratio
-    bent = torch.cat((horizontal, vertical[..., None]), dim=-1)
-    keep = valid[..., None]
-    return torch.where(keep, refrax, center), torch.where(keep, bent, unit), valid
+
+    def refract(center: Tensor, direction: Tensor, *parameters: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        normal, offset, (first, *index), thickness = split_parameters(parameters)
+        n, c = triples.split(normal), triples.split(center)
+        v = triples.split(direction)
+        length = triples.dot(v, v).sqrt()
+        unit = triples.scaled(length.clamp(min=torch.finfo(length.dtype).tiny).reciprocal(), v)
+        cosine, height = -triples.dot(unit, n), triples.dot(n, c) - offset
+        valid = (cosine > 0) & (height > 0)
+        cosine = torch.where(valid, cosine, 1.0)
+        along = triples.add_scaled(unit, cosine, n)
+        origin = triples.add_scaled(c, height / cosine, unit)
+        origin = triples.add_scaled(origin, offset - triples.dot(n, origin), n)  # onto the surface to the last bit
+        onward = cosine
+        factor = torch.ones_like(cosine)
+        for i, n_i in enumerate(index):
+            factor = first / n_i
+            cosine_sq = ((n_i - first) * (n_i + first) + (first * cosine).square()) / n_i.square()
+            valid = valid & (cosine_sq > 0)
+            onward = torch.where(cosine_sq > 0, cosine_sq, 1.0).sqrt()
+            if i < len(thickness):
+                origin = triples.add_scaled(origin, thickness[i] * factor / onward, along)
+                origin = triples.add_scaled(origin, -thickness[i], n)
+        bent = triples.add_scaled(triples.scaled(factor, along), -onward, n)
+        return (
+            torch.stack([torch.where(valid, o, c_k) for o, c_k in zip(origin, c, strict=True)], dim=-1),
+            torch.stack([torch.where(valid, b, u) for b, u in zip(bent, unit, strict=True)], dim=-1),
+            valid,
+        )
+
+    parameters = interface.parameters(direction)
+    center, direction, valid = in_blocks(
+        refract, (center, direction, *parameters), (1, 1, 1, *(0 for _ in parameters[1:]))
+    )
+    return center, direction, valid

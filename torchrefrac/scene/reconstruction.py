@@ -39,7 +39,7 @@ class Reconstruction:
     @property
     def cameras(self) -> RefractiveCamera:
         """All images as one batch (m); entries that are not registered are meaningless."""
-        return RefractiveCamera(self.intrinsics, self.rotation, self.center, self.interface)
+        return RefractiveCamera(self.intrinsics, self.rotation, self.center, self.interface, check=False)
 
     def reprojection_errors(self) -> Tensor:
         """Pixels (N): distance of each observation from its projected point; inf where that is impossible."""

@@ -48,9 +48,8 @@ class SparseModel:
 
     def cameras(self, image: Tensor) -> RefractiveCamera:
         """The cameras of images (*B), as a batch (*B)."""
-        return RefractiveCamera(
-            self.intrinsics, self.rotation[image], self.center[image], FlatInterface(self.index_ratio)
-        )
+        interface = FlatInterface(self.index_ratio)
+        return RefractiveCamera(self.intrinsics, self.rotation[image], self.center[image], interface, check=False)
 
     def with_poses(self, images: Tensor | list[int], rotation: Tensor, center: Tensor) -> "SparseModel":
         """The model with `images` (k) registered at rotation (k, 3, 3) and center (k, 3)."""

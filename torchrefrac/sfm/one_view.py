@@ -26,7 +26,7 @@ def refine_pose(
         state = BundleState(pose.rotation[None], pose.center[None], points[pose.inliers], intrinsics)
         report = adjust_pose(state, pixels[pose.inliers], index_ratio, options.bundle, gravity)
         rotation, center = report.state.rotation[0], report.state.center[0]
-        camera = RefractiveCamera(intrinsics, rotation, center, FlatInterface(index_ratio))
+        camera = RefractiveCamera(intrinsics, rotation, center, FlatInterface(index_ratio), check=False)
         projected, valid = camera.project(points)
         inliers = valid & ((projected - pixels).norm(dim=-1) < options.ransac.max_error)
         pose = Pose(rotation, center, inliers)

@@ -33,7 +33,7 @@ def opening_angle(camera: RefractiveCamera, pixels: Tensor, present: Tensor, poi
 def _rays(camera: RefractiveCamera, pixels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Directions in air, and origins and directions in the water (T, n, 3)."""
     in_air = camera.view_directions(pixels)
-    origins, in_water, _ = refract_rays(camera.center_in_world, in_air, camera.interface.index_like(pixels))
+    origins, in_water, _ = refract_rays(camera.center_in_world, in_air, camera.interface)
     return in_air, origins, in_water
 
 

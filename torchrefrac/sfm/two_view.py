@@ -69,4 +69,4 @@ def _thin(rows: Tensor) -> Tensor:
 
 
 def _cameras(intrinsics: Intrinsics, rotation: Tensor, center: Tensor, index_ratio: Tensor) -> RefractiveCamera:
-    return RefractiveCamera(intrinsics, rotation, center, FlatInterface(index_ratio))
+    return RefractiveCamera(intrinsics, rotation, center, FlatInterface(index_ratio), check=False)

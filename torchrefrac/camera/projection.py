@@ -1,0 +1,100 @@
+"""The refractive projection as a function of tensors: lift the point, turn it into the camera, pinhole, lens."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchrefrac.camera.distortion import distort_components
+from torchrefrac.camera.intrinsics import Intrinsics
+from torchrefrac.geometry import triples
+from torchrefrac.geometry.triples import Triple
+from torchrefrac.numerics import in_blocks
+from torchrefrac.refraction import FlatInterface
+from torchrefrac.refraction.lift import Sight, is_valid, look, offset_components, solve_height
+
+MIN_DEPTH = 1e-9
+
+
+class Operands(NamedTuple):
+    """What a projection depends on, as tensors that `in_blocks` can cut up."""
+
+    tensors: list[Tensor]
+    event_dims: list[int]
+
+
+class View(NamedTuple):
+    """One block of operands: rotation as rows, focal, principal_point and distortion as components, and the sight line
+    in the interface's frame, which is the camera's where `in_camera`."""
+
+    rotation: tuple[Triple, Triple, Triple]
+    focal: Sequence[Tensor]
+    principal_point: Sequence[Tensor]
+    distortion: Sequence[Tensor]
+    sight: Sight
+    in_camera: bool
+
+
+def project(
+    intrinsics: Intrinsics, rotation: Tensor, center: Tensor, points: Tensor, interface: FlatInterface
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Pixels (*B, 2) of world points (*B, 3), validity (*B), and which points lie beyond the first surface (*B).
+
+    rotation (*B, 3, 3) cam_from_world, center (*B, 3); batches broadcast. Entries that are not valid are finite.
+    """
+
+    def block(*tensors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        view = view_of(tensors, interface)
+        straight = -view.sight.along
+        height = straight if interface.is_absent else solve_height(view.sight, interface.camera_in_rarest)
+        x, y, z = in_camera(view, height)
+        ahead = z > MIN_DEPTH
+        inverse = torch.where(ahead, z, 1.0).reciprocal()
+        u, v = distort_components(x * inverse, y * inverse, view.distortion)
+        (fx, fy), (cx, cy) = view.focal, view.principal_point
+        pixels = torch.stack((fx * u + cx, fy * v + cy), dim=-1)
+        return pixels, is_valid(view.sight, height) & ahead, (view.sight.beyond > 0).expand(ahead.shape)
+
+    pixels, valid, beyond = in_blocks(block, *operands(intrinsics, rotation, center, points, interface))
+    return pixels, valid, beyond
+
+
+def operands(
+    intrinsics: Intrinsics, rotation: Tensor, center: Tensor, points: Tensor, interface: FlatInterface
+) -> Operands:
+    """Everything in one list, and how many dimensions of each belong to one element."""
+    parameters = interface.parameters(points)
+    lens = (intrinsics.focal, intrinsics.principal_point, intrinsics.distortion)
+    return Operands(
+        [rotation, center, points, *lens, *parameters],
+        [2, 1, 1, 1, 1, 1, 1, *(0 for _ in parameters[1:])],
+    )
+
+
+def view_of(tensors: Sequence[Tensor], interface: FlatInterface) -> View:
+    """The operands taken apart."""
+    rotation, center, points, focal, principal_point, distortion, *parameters = tensors
+    rows, c, p = triples.rows(rotation), triples.split(center), triples.split(points)
+    if interface.moves_with_camera:
+        offset = triples.minus(p, c)
+        p = (triples.dot(rows[0], offset), triples.dot(rows[1], offset), triples.dot(rows[2], offset))
+        zero = torch.zeros_like(p[0])
+        c = (zero, zero, zero)
+    return View(
+        rotation=rows,
+        focal=focal.unbind(dim=-1),
+        principal_point=principal_point.unbind(dim=-1),
+        distortion=distortion.unbind(dim=-1),
+        sight=look(c, p, parameters),
+        in_camera=interface.moves_with_camera,
+    )
+
+
+def in_camera(view: View, height: Tensor) -> Triple:
+    """The apparent offset in the camera's frame, for the apparent height H."""
+    offset = offset_components(view.sight, height)
+    if view.in_camera:
+        return offset
+    first, second, third = view.rotation
+    return triples.dot(first, offset), triples.dot(second, offset), triples.dot(third, offset)

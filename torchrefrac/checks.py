@@ -1,0 +1,93 @@
+"""Checks of what users hand in: a leaf that any layer may import. Every failure is a ValueError of one sentence."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch._C import _functorch  # pyright: ignore[reportAttributeAccessIssue]
+
+HALF = (torch.float16, torch.bfloat16)
+
+
+def require(
+    value: Tensor | float,
+    name: str,
+    *,
+    at_least: float | None = None,
+    above: float | None = None,
+    at_most: float | None = None,
+) -> None:
+    """Refuse values that are not finite or lie outside the bounds.
+
+    Compiled code cannot look at values: there nothing is checked. Under `torch.func` transforms the values
+    inside the wrappers are.
+    """
+    extremes = _extremes(value)
+    if extremes is None:
+        return
+    low, high = extremes
+    too_low = (at_least is not None and low < at_least) or (above is not None and low <= above)
+    too_high = at_most is not None and high > at_most
+    if math.isfinite(low) and math.isfinite(high) and not (too_low or too_high):
+        return
+    bad = low if too_low or not math.isfinite(low) else high
+    bounds = (("at least", at_least), ("above", above), ("at most", at_most))
+    wants = " and ".join(("finite", *(f"{words} {bound:g}" for words, bound in bounds if bound is not None)))
+    where = " somewhere" if isinstance(value, Tensor) and value.dim() else ""
+    raise ValueError(f"{name} is {bad:g}{where}, but must be {wants}")
+
+
+def require_floating(value: Tensor | float, name: str) -> None:
+    """Refuse tensors of whole numbers."""
+    if isinstance(value, Tensor) and not value.is_floating_point():
+        raise ValueError(f"{name} has dtype {value.dtype}, but must be a floating-point tensor")
+
+
+def require_ending(value: Tensor, name: str, ending: Sequence[int]) -> None:
+    """Refuse tensors whose last dimensions are not `ending`."""
+    if tuple(value.shape[-len(ending) :]) != tuple(ending):
+        wants = str(tuple(ending)) if len(ending) > 1 else f"({ending[0]},)"
+        raise ValueError(f"{name} has shape {tuple(value.shape)}, but must end in {wants}")
+
+
+def require_broadcasting(**shapes: Sequence[int]) -> torch.Size:
+    """The shape that all of them broadcast to."""
+    try:
+        return torch.broadcast_shapes(*shapes.values())
+    except RuntimeError:
+        listed = ", ".join(f"{name} {tuple(shape)}" for name, shape in shapes.items())
+        raise ValueError(f"shapes do not broadcast: {listed}") from None
+
+
+def at_least_single(value: Tensor) -> Tensor:
+    """Half precision raised to float32: pixels and refraction need more than three digits."""
+    return value.float() if value.dtype in HALF else value
+
+
+def holds_everywhere(condition: Tensor) -> bool:
+    """Whether a mask is True throughout; True, unseen, in compiled code."""
+    return torch.compiler.is_compiling() or bool(unwrapped(condition).all())
+
+
+def _extremes(value: Tensor | float) -> tuple[float, float] | None:
+    """Smallest and largest value (NaN if there is one); None where nothing can be seen."""
+    if not isinstance(value, Tensor):
+        return float(value), float(value)
+    if torch.compiler.is_compiling() or value.numel() == 0:
+        return None
+    low, high = torch.aminmax(unwrapped(value))
+    return float(low), float(high)
+
+
+def unwrapped(value: Tensor) -> Tensor:
+    """The values inside the wrappers of `torch.func` transforms."""
+    value = value.detach()
+    while is_wrapped(value):
+        value = _functorch.get_unwrapped(value)
+    return value
+
+
+def is_wrapped(value: Tensor) -> bool:
+    """Whether a `torch.func` transform holds the tensor."""
+    return _functorch.is_functorch_wrapped_tensor(value)

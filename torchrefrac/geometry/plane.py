@@ -1,0 +1,107 @@
+"""Oriented planes in space."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchrefrac.checks import at_least_single, require, require_broadcasting, require_ending
+from torchrefrac.geometry.rotation import rotate, so3_exp
+from torchrefrac.numerics import like, pick
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """The points x with normal . x = offset; `normal` points to the positive side.
+
+    normal (*B, 3), any length but zero: it is scaled to one; offset (*B), along the unit normal, in the unit of the
+    points. Both may be plain numbers. The default is the plane z = 0 with z positive. Raises ValueError for a normal
+    that is zero, not finite or not of three components, and for an offset that is not finite.
+    """
+
+    normal: Tensor | Sequence[float] = (0.0, 0.0, 1.0)
+    offset: Tensor | float = 0.0
+
+    def __post_init__(self) -> None:
+        require(self.offset, "offset")
+        if isinstance(self.normal, Tensor):
+            normal = at_least_single(self.normal)
+            require_ending(normal, "normal", (3,))
+            length = normal.square().sum(dim=-1, keepdim=True).sqrt()
+            require(length, "length of normal", above=0.0)
+            object.__setattr__(self, "normal", normal / length)
+            return
+        if len(self.normal) != 3:
+            raise ValueError(f"normal has {len(self.normal)} components, but must have 3")
+        length = math.hypot(*self.normal)
+        require(length, "length of normal", above=0.0)
+        object.__setattr__(self, "normal", tuple(value / length for value in self.normal))
+
+    @classmethod
+    def through(cls, point: Sequence[float], normal: Sequence[float]) -> "Plane":
+        """The plane through a point, both given in plain numbers."""
+        unit = cls(normal).normal
+        return cls(normal, sum(float(n) * float(x) for n, x in zip(unit, point, strict=True)))
+
+    @classmethod
+    def from_pose(cls, world_from_plane: Tensor) -> "Plane":
+        """The plane z = 0 moved by rigid transforms (*B, 4, 4) or (*B, 3, 4)."""
+        normal = world_from_plane[..., :3, 2]
+        return cls(normal, (normal * world_from_plane[..., :3, 3]).sum(dim=-1))
+
+    def normal_like(self, reference: Tensor) -> Tensor:
+        """The unit normal (*B, 3) in the dtype and on the device of `reference`."""
+        if isinstance(self.normal, Tensor):
+            return like(self.normal, reference)
+        return torch.stack([like(component, reference) for component in self.normal])
+
+    def signed_distance(self, points: Tensor) -> Tensor:
+        """How far points (*B, 3) lie on the positive side: (*B)."""
+        return (self.normal_like(points) * points).sum(dim=-1) - like(self.offset, points)
+
+    def tangents_like(self, reference: Tensor) -> tuple[Tensor, Tensor]:
+        """Unit vectors (*B, 3) in the plane, right-handed with its normal: x and y for the plane z = 0.
+
+        Without a singular direction (Duff et al., JCGT 6(1), 2017).
+        """
+        x, y, z = self.normal_like(reference).unbind(dim=-1)
+        sign = torch.where(z < 0.0, -1.0, 1.0).to(z.dtype)
+        a = -1.0 / (sign + z)
+        b = x * y * a
+        return (
+            torch.stack((1.0 + sign * x * x * a, sign * b, -sign * x), dim=-1),
+            torch.stack((b, sign + y * y * a, -y), dim=-1),
+        )
+
+    def moved(self, tilt: Tensor, height: Tensor | float = 0.0) -> "Plane":
+        """Turned about the origin by `tilt` (*B, 2), radians about the two tangents; then raised by `height` (*B) along
+        its normal. The coordinates in which derivatives by tilt and height are taken."""
+        first, second = self.tangents_like(tilt)
+        turn = so3_exp(tilt[..., :1] * first + tilt[..., 1:] * second)
+        return Plane(rotate(turn, self.normal_like(tilt)), like(self.offset, tilt) + height)
+
+    def in_frame(self, new_from_old_rotation: Tensor, origin: Tensor) -> "Plane":
+        """The same plane in coordinates x_new = R (x_old - origin): R (*B, 3, 3), origin (*B, 3)."""
+        return Plane(rotate(new_from_old_rotation, self.normal_like(origin)), -self.signed_distance(origin))
+
+    @property
+    def shape(self) -> torch.Size:
+        """The batch shape *B."""
+        normal = self.normal.shape[:-1] if isinstance(self.normal, Tensor) else ()
+        offset = self.offset.shape if isinstance(self.offset, Tensor) else ()
+        return require_broadcasting(normal=normal, offset=offset)
+
+    def indexed(self, index: Any, batch: Sequence[int]) -> "Plane":
+        """Those of some elements of a batch."""
+        return Plane(pick(self.normal, index, batch, 1), pick(self.offset, index, batch))
+
+    def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "Plane":
+        """The same in another dtype or on another device; numbers fit any."""
+        normal, offset = self.normal, self.offset
+        return Plane(
+            normal.to(dtype=dtype, device=device) if isinstance(normal, Tensor) else normal,
+            offset.to(dtype=dtype, device=device) if isinstance(offset, Tensor) else offset,
+        )
