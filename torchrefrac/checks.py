@@ -23,10 +23,9 @@ def require(
     Compiled code cannot look at values: there nothing is checked. Under `torch.func` transforms the values
     inside the wrappers are.
     """
-    extremes = _extremes(value)
-    if extremes is None:
+    if torch.compiler.is_compiling() or (isinstance(value, Tensor) and value.numel() == 0):
         return
-    low, high = extremes
+    low, high = _extremes(value)
     too_low = (at_least is not None and low < at_least) or (above is not None and low <= above)
     too_high = at_most is not None and high > at_most
     if math.isfinite(low) and math.isfinite(high) and not (too_low or too_high):
@@ -70,12 +69,10 @@ def holds_everywhere(condition: Tensor) -> bool:
     return torch.compiler.is_compiling() or bool(unwrapped(condition).all())
 
 
-def _extremes(value: Tensor | float) -> tuple[float, float] | None:
-    """Smallest and largest value (NaN if there is one); None where nothing can be seen."""
+def _extremes(value: Tensor | float) -> tuple[float, float]:
+    """Smallest and largest value; NaN if there is one."""
     if not isinstance(value, Tensor):
         return float(value), float(value)
-    if torch.compiler.is_compiling() or value.numel() == 0:
-        return None
     low, high = torch.aminmax(unwrapped(value))
     return float(low), float(high)
 

@@ -6,15 +6,18 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchrefrac.geometry.triples import components
+from torchrefrac.numerics import in_blocks
+
 UNDISTORT_STEPS = 8
 
 
 class DistortionSlopes(NamedTuple):
-    """Derivatives (*B) of distorted (u, v) in ideal (x, y), and r^2 of the ideal point.
+    """Distorted (u, v) and derivatives (*B): in the ideal (x, y), where dv/dx = du/dy = mixed, and in k1, k2, p1, p2,
+    k3."""
 
-    The Jacobian is symmetric: dv/dx = du/dy = mixed.
-    """
-
+    u: Tensor
+    v: Tensor
     du_dx: Tensor
     mixed: Tensor
     dv_dy: Tensor
@@ -32,8 +35,8 @@ def distort_with_jacobians(xy: Tensor, coefficients: Tensor) -> tuple[Tensor, Te
     """`distort`, its derivative in xy (*B, 2, 2) and in the coefficients (*B, 2, 5)."""
     x, y = xy.unbind(dim=-1)
     k = coefficients.unbind(dim=-1)
-    u, v = distort_components(x, y, k)
     slopes = distortion_slopes(x, y, k)
+    u, v = slopes.u, slopes.v
     by_xy = torch.stack((slopes.du_dx, slopes.mixed, slopes.mixed, slopes.dv_dy), dim=-1).reshape(*u.shape, 2, 2)
     by_k = torch.stack((torch.stack(slopes.by_u, dim=-1), torch.stack(slopes.by_v, dim=-1)), dim=-2)
     return torch.stack((u, v), dim=-1), by_xy, by_k
@@ -52,7 +55,7 @@ def distort_components(x: Tensor, y: Tensor, coefficients: Sequence[Tensor]) -> 
 
 
 def distortion_slopes(x: Tensor, y: Tensor, coefficients: Sequence[Tensor]) -> DistortionSlopes:
-    """Derivatives of `distort_components`."""
+    """`distort_components` with its derivatives."""
     k1, k2, p1, p2, k3 = coefficients
     r2 = x * x + y * y
     r4 = r2 * r2
@@ -61,6 +64,8 @@ def distortion_slopes(x: Tensor, y: Tensor, coefficients: Sequence[Tensor]) -> D
     slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
     xy2, x2, y2 = 2.0 * x * y, r2 + 2.0 * x * x, r2 + 2.0 * y * y
     return DistortionSlopes(
+        u=x * radial + p1 * xy2 + p2 * x2,
+        v=y * radial + p2 * xy2 + p1 * y2,
         du_dx=radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x,
         mixed=x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y,
         dv_dy=radial + y * y * slope + 2.0 * p2 * x + 6.0 * p1 * y,
@@ -75,20 +80,26 @@ def undistort(distorted: Tensor, coefficients: Tensor) -> Tensor:
     Newton from the distorted point. It needs a lens that is one-to-one over the image (true of any calibrated
     lens inside its image). The last step carries the graph, so first derivatives are exact.
     """
-    constants = coefficients.detach().unbind(dim=-1)
-    u, v = distorted.unbind(dim=-1)
-    x, y = torch.broadcast_tensors(u.detach(), v.detach(), constants[0])[:2]
+    return in_blocks(_undistort, (distorted, coefficients), (1, 1), (1,))[0]
+
+
+def _undistort(distorted: Tensor, coefficients: Tensor) -> tuple[Tensor]:
+    u, v = components(distorted)
+    k = components(coefficients)
+    constants = [value.detach() for value in k]
+    x, y = u.detach(), v.detach()
     for _ in range(UNDISTORT_STEPS):
         x, y = _newton_step(x, y, constants, constants, u.detach(), v.detach())
-    x, y = _newton_step(x, y, constants, coefficients.unbind(dim=-1), u, v)
-    return torch.stack((x, y), dim=-1)
+    x, y = _newton_step(x, y, constants, k, u, v)
+    return (torch.stack((x, y), dim=-1),)
 
 
 def _newton_step(
     x: Tensor, y: Tensor, constants: Sequence[Tensor], coefficients: Sequence[Tensor], u: Tensor, v: Tensor
 ) -> tuple[Tensor, Tensor]:
-    du_dx, mixed, dv_dy, _, _ = distortion_slopes(x, y, constants)
-    at_x, at_y = distort_components(x, y, coefficients)
+    slopes = distortion_slopes(x, y, constants)
+    du_dx, mixed, dv_dy = slopes.du_dx, slopes.mixed, slopes.dv_dy
+    at_x, at_y = distort_components(x, y, coefficients) if coefficients is not constants else (slopes.u, slopes.v)
     du, dv = at_x - u, at_y - v
     determinant = du_dx * dv_dy - mixed * mixed
     return x - (dv_dy * du - mixed * dv) / determinant, y - (du_dx * dv - mixed * du) / determinant

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchrefrac.camera.distortion import distort_components, distortion_slopes
+from torchrefrac.camera.distortion import distortion_slopes
 from torchrefrac.camera.intrinsics import Intrinsics
 from torchrefrac.camera.projection import MIN_DEPTH, View, in_camera, operands, view_of
 from torchrefrac.geometry import triples
@@ -21,6 +21,8 @@ from torchrefrac.geometry.triples import Triple
 from torchrefrac.numerics import in_blocks
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.refraction.lift import Lift, Sight, is_valid, solve_height_with_partials
+
+RESULT_DIMS = (1, 0, 2, 2, 2, 2, 2, 2, 2, 1)
 
 
 class ProjectionJacobians(NamedTuple):
@@ -63,8 +65,24 @@ def project_with_jacobians(
 
     tensors, event_dims = operands(intrinsics, rotation, center, points, interface)
     tangents = interface.plane.tangents_like(points)
-    pixels, valid, *blocks = in_blocks(block, [*tangents, *tensors], [1, 1, *event_dims])
-    return pixels, ProjectionJacobians(*blocks), valid
+    results = in_blocks(block, [*tangents, *tensors], [1, 1, *event_dims], RESULT_DIMS)
+    pixels, valid, by_rotation, by_center, by_point, by_focal, by_distortion, by_indices, by_tilt, by_height = results
+    by_principal_point = torch.eye(2, dtype=pixels.dtype, device=pixels.device).expand((*valid.shape, 2, 2))
+    return (
+        pixels,
+        ProjectionJacobians(
+            rotation=by_rotation,
+            center=by_center,
+            point=by_point,
+            focal=by_focal,
+            principal_point=by_principal_point,
+            distortion=by_distortion,
+            indices=by_indices,
+            plane_tilt=by_tilt,
+            plane_height=by_height,
+        ),
+        valid,
+    )
 
 
 def _differentiate(view: View, lift: Lift, tangents: tuple[Triple, Triple]) -> tuple[Tensor, ...]:
@@ -72,8 +90,8 @@ def _differentiate(view: View, lift: Lift, tangents: tuple[Triple, Triple]) -> t
     ahead = x_in_cam[2] > MIN_DEPTH
     inverse = torch.where(ahead, x_in_cam[2], 1.0).reciprocal()
     x, y = x_in_cam[0] * inverse, x_in_cam[1] * inverse
-    u, v = distort_components(x, y, view.distortion)
     slopes = distortion_slopes(x, y, view.distortion)
+    u, v = slopes.u, slopes.v
     (fx, fy), (cx, cy) = view.focal, view.principal_point
     bend = _bend(view.sight, lift, tangents)
     axes = []
@@ -81,7 +99,7 @@ def _differentiate(view: View, lift: Lift, tangents: tuple[Triple, Triple]) -> t
         by_x, by_y = f * inverse * along_x, f * inverse * along_y
         by_offset = (by_x, by_y, -(by_x * x + by_y * y))
         axes.append(_of_axis(view, bend, x_in_cam, by_offset))
-    zero, one = torch.zeros_like(u), torch.ones_like(u)
+    zero = torch.zeros_like(u)
     by_distortion = (*(fx * by for by in slopes.by_u), *(fy * by for by in slopes.by_v))
     blocks = [_stack(u_part, v_part) for u_part, v_part in zip(*axes, strict=True)]
     by_rotation, by_center, by_point, by_indices, by_tilt, by_height = blocks
@@ -92,7 +110,6 @@ def _differentiate(view: View, lift: Lift, tangents: tuple[Triple, Triple]) -> t
         by_center,
         by_point,
         _stack((u, zero), (zero, v)),
-        _stack((one, zero), (zero, one)),
         _stack(by_distortion[:5], by_distortion[5:]),
         by_indices,
         by_tilt,
@@ -121,17 +138,13 @@ def _bend(sight: Sight, lift: Lift, tangents: tuple[Triple, Triple]) -> _Bend:
     twice_by_distance_sq = 2.0 * lift.by_distance_sq
     along_u = triples.scaled(twice_by_distance_sq, u)
     first, second = tangents
-    dn = [triples.scaled(-torch.ones_like(second[0]), second), first]  # turning about t moves n by t x n
-    straight = triples.minus(sight.point, sight.center)
-    alpha = [
-        (1.0 - twice_by_distance_sq * sight.along) * triples.dot(straight, d)
-        + lift.by_height * triples.dot(sight.center, d)
-        - lift.by_depth * triples.dot(sight.point, d)
-        for d in dn
-    ]
+    dn: list[Triple] = [(-second[0], -second[1], -second[2]), first]  # turning about t moves n by t x n
+    by_straight = 1.0 - twice_by_distance_sq * sight.along
+    by_point, by_center = by_straight - lift.by_depth, lift.by_height - by_straight
+    alpha = [by_point * triples.dot(sight.point, d) + by_center * triples.dot(sight.center, d) for d in dn]
     return _Bend(
         q=triples.add_scaled(along_u, 1.0 - lift.by_depth, n),
-        r=triples.add_scaled(triples.scaled(lift.by_height - 1.0, n), -twice_by_distance_sq, u),
+        r=triples.add_scaled(triples.scaled(lift.by_height - 1.0, n), twice_by_distance_sq, u, sign=-1.0),
         alpha=alpha,
         rise=sight.along + lift.height,
         dn=dn,
@@ -144,14 +157,14 @@ def _of_axis(view: View, bend: _Bend, x_in_cam: Triple, by_offset: Triple) -> tu
     """Derivatives of one pixel coordinate, given that in the apparent offset in the camera's frame."""
     g = by_offset if view.in_camera else _to_world(view, by_offset)
     g_n = triples.dot(g, view.sight.normal)
-    by_point = triples.add_scaled(g, -g_n, bend.q)
+    by_point = triples.add_scaled(g, g_n, bend.q, sign=-1.0)
     if view.in_camera:
         by_rotation = triples.cross(view.sight.point, by_point)
         by_point = _to_world(view, by_point)
         by_center = (-by_point[0], -by_point[1], -by_point[2])
     else:
         by_rotation = triples.cross(x_in_cam, by_offset)
-        by_center = triples.add_scaled((-g[0], -g[1], -g[2]), -g_n, bend.r)
+        by_center = triples.add_scaled((-g[0], -g[1], -g[2]), g_n, bend.r, sign=-1.0)
     by_tilt = [-alpha * g_n - bend.rise * triples.dot(g, dn) for alpha, dn in zip(bend.alpha, bend.dn, strict=True)]
     by_indices = [-g_n * by for by in bend.by_index]
     return by_rotation, by_center, by_point, tuple(by_indices), tuple(by_tilt), (-g_n * bend.by_height,)
@@ -166,4 +179,4 @@ def _to_world(view: View, row: Triple) -> Triple:
 def _stack(u_part: tuple[Tensor, ...], v_part: tuple[Tensor, ...]) -> Tensor:
     """(*B, 2, k) from the k derivatives of u and those of v."""
     entries = torch.broadcast_tensors(*u_part, *v_part)
-    return torch.stack(entries, dim=-1).unflatten(-1, (2, len(u_part)))
+    return torch.stack(entries).unflatten(0, (2, len(u_part))).movedim((0, 1), (-2, -1))

@@ -54,9 +54,9 @@ def project(
         u, v = distort_components(x * inverse, y * inverse, view.distortion)
         (fx, fy), (cx, cy) = view.focal, view.principal_point
         pixels = torch.stack((fx * u + cx, fy * v + cy), dim=-1)
-        return pixels, is_valid(view.sight, height) & ahead, (view.sight.beyond > 0).expand(ahead.shape)
+        return pixels, is_valid(view.sight, height) & ahead, view.sight.beyond > 0
 
-    pixels, valid, beyond = in_blocks(block, *operands(intrinsics, rotation, center, points, interface))
+    pixels, valid, beyond = in_blocks(block, *operands(intrinsics, rotation, center, points, interface), (1, 0, 0))
     return pixels, valid, beyond
 
 

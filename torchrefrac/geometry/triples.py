@@ -1,5 +1,6 @@
 """Vectors as three separate tensors, one a component: long batches then run through contiguous memory."""
 
+import torch
 from torch import Tensor
 
 Triple = tuple[Tensor, Tensor, Tensor]
@@ -7,25 +8,35 @@ Triple = tuple[Tensor, Tensor, Tensor]
 
 def split(vectors: Tensor) -> Triple:
     """Components of vectors (*B, 3), each (*B)."""
-    x, y, z = vectors.unbind(dim=-1)
+    x, y, z = components(vectors)
     return x, y, z
 
 
+def components(vectors: Tensor) -> tuple[Tensor, ...]:
+    """Components of vectors (*B, n) of any length, each (*B) and contiguous."""
+    return vectors.unbind(dim=-1) if vectors.dim() == 1 else vectors.movedim(-1, 0).contiguous().unbind(dim=0)
+
+
 def dot(a: Triple, b: Triple) -> Tensor:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return torch.addcmul(torch.addcmul(a[0] * b[0], a[1], b[1]), a[2], b[2])
 
 
 def cross(a: Triple, b: Triple) -> Triple:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return (
+        torch.addcmul(a[1] * b[2], a[2], b[1], value=-1.0),
+        torch.addcmul(a[2] * b[0], a[0], b[2], value=-1.0),
+        torch.addcmul(a[0] * b[1], a[1], b[0], value=-1.0),
+    )
 
 
 def minus(a: Triple, b: Triple) -> Triple:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def add_scaled(a: Triple, factor: Tensor, b: Triple) -> Triple:
-    """a + factor b."""
-    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+def add_scaled(a: Triple, factor: Tensor, b: Triple, sign: float = 1.0) -> Triple:
+    """a + sign factor b."""
+    x, y, z = (torch.addcmul(a_k, factor, b_k, value=sign) for a_k, b_k in zip(a, b, strict=True))
+    return x, y, z
 
 
 def scaled(factor: Tensor, a: Triple) -> Triple:
@@ -34,5 +45,5 @@ def scaled(factor: Tensor, a: Triple) -> Triple:
 
 def rows(matrices: Tensor) -> tuple[Triple, Triple, Triple]:
     """Rows of matrices (*B, 3, 3), each a triple of (*B)."""
-    first, second, third = matrices.unbind(dim=-2)
-    return split(first), split(second), split(third)
+    a, b, c, d, e, f, g, h, i = components(matrices.flatten(-2))
+    return (a, b, c), (d, e, f), (g, h, i)

@@ -12,35 +12,47 @@ BLOCK = 32768
 
 
 def in_blocks(
-    function: Callable[..., tuple[Tensor, ...]], tensors: Sequence[Tensor], event_dims: Sequence[int]
+    function: Callable[..., tuple[Tensor, ...]],
+    tensors: Sequence[Tensor],
+    event_dims: Sequence[int],
+    result_dims: Sequence[int],
+    size: int = BLOCK,
 ) -> tuple[Tensor, ...]:
-    """`function(*tensors)`, computed for a part of the batch at a time; it must treat every element alone.
+    """`function(*tensors)`, computed for at most `size` elements of the batch at a time; each is treated alone.
 
-    The last `event_dims[i]` dimensions of tensor i belong to one element, those before them broadcast to the batch,
-    and every result leads with the batch. Only plain CPU tensors without a graph are split: on a GPU, in a
-    transform, in a compiled function and for autograd the whole is one block.
+    The last `event_dims[i]` dimensions of tensor i belong to one element, those before them broadcast to the batch;
+    result i is the batch followed by `result_dims[i]` dimensions. Only plain CPU tensors without a graph are split: on
+    a GPU, in a transform, in a compiled function and for autograd the whole is one block.
     """
     batch = torch.broadcast_shapes(*(t.shape[: t.dim() - k] for t, k in zip(tensors, event_dims, strict=True)))
-    if math.prod(batch) <= BLOCK or not all(_is_plain(tensor) for tensor in tensors):
-        return function(*tensors)
-    whole = [t.expand(*batch, *t.shape[t.dim() - k :]) for t, k in zip(tensors, event_dims, strict=True)]
+    if math.prod(batch) <= size or not all(_is_plain(tensor) for tensor in tensors):
+        whole = zip(function(*tensors), result_dims, strict=True)
+        return tuple(result.expand((*batch, *result.shape[result.dim() - k :])) for result, k in whole)
+    spread = [
+        t if t.dim() == k else t.expand((*batch, *t.shape[t.dim() - k :]))
+        for t, k in zip(tensors, event_dims, strict=True)
+    ]
+    shared = [t.dim() == k for t, k in zip(tensors, event_dims, strict=True)]
     results: list[Tensor] = []
-    for block in _blocks(batch):
-        parts = function(*(tensor[block] for tensor in whole))
-        results = results or [part.new_empty(*batch, *part.shape[len(batch) :]) for part in parts]
-        for result, part in zip(results, parts, strict=True):
-            result[block] = part
+    for block in _blocks(batch, size):
+        parts = function(*(t if is_shared else t[block] for t, is_shared in zip(spread, shared, strict=True)))
+        results = results or [
+            part.new_empty((*batch, *part.shape[part.dim() - k :])) for part, k in zip(parts, result_dims, strict=True)
+        ]
+        for result, part, k in zip(results, parts, result_dims, strict=True):
+            flat = part.flatten(part.dim() - k) if k else part
+            result.view((*batch, *flat.shape[flat.dim() - min(k, 1) :]))[block] = flat  # in 2D a transpose is fast
     return tuple(results)
 
 
-def _blocks(batch: Sequence[int]) -> Iterator[tuple[slice, ...]]:
-    """Slices of the leading dimensions: each cuts out at most BLOCK elements that lie together."""
+def _blocks(batch: Sequence[int], size: int) -> Iterator[tuple[slice, ...]]:
+    """Slices of the leading dimensions: each cuts out at most `size` elements that lie together."""
     inner = math.prod(batch[1:])
-    if inner > BLOCK:
+    if inner > size:
         for i in range(batch[0]):
-            yield from ((slice(i, i + 1), *rest) for rest in _blocks(batch[1:]))
+            yield from ((slice(i, i + 1), *rest) for rest in _blocks(batch[1:], size))
     else:
-        step = BLOCK // max(inner, 1)
+        step = size // max(inner, 1)
         for i in range(0, batch[0], step):
             yield (slice(i, i + step),)
 

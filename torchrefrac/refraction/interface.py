@@ -1,7 +1,7 @@
 """The flat layers between camera and scene."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
@@ -13,8 +13,12 @@ from torchrefrac.numerics import like, pick
 from torchrefrac.refraction.water import FRESH_WATER
 
 GLASS = 1.52
-WATER_LEVEL = Plane()
 Number = Tensor | float
+
+
+def _water_level() -> Plane:
+    """z = 0; a function, because the compiler does not trace a class as a default factory."""
+    return Plane()
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +42,7 @@ class FlatInterface:
     index_ratio: Number | None = None
     layers: Sequence[Number] | Tensor | None = None
     thickness: Sequence[Number] | Tensor = ()
-    plane: Plane = WATER_LEVEL
+    plane: Plane = field(default_factory=_water_level)
     moves_with_camera: bool = False
 
     def __post_init__(self) -> None:

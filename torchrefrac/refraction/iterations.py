@@ -5,85 +5,104 @@ With D the squared horizontal distance, thickness d_i and index n_i >= 1 of laye
 
     F(s) = s (clear + sum_i d_i w_i) - 1 = 0,      w_i = (n_i^2 + (n_i^2 - 1) D s^2)^(-1/2).
 
-F is increasing and concave: from a lower bound of the root Newton climbs to it and cannot miss.
+F is increasing and concave: from a lower bound of the root Newton climbs to it and cannot miss. Each term s w_i lies
+below its tangent at tan(angle) = m n_i / sqrt(n_i^2 - 1), whatever m, which gives the lower bounds
+
+    s >= (1 - alpha sum_i d_i / sqrt((n_i^2 - 1) D)) / (clear + beta sum_i d_i / n_i),
+
+beta = (1 + m^2)^(-3/2), alpha = m^3 beta. Their envelope over m is the root itself for one layer: m = 0 is exact at
+nadir, m = infinity for a grazing ray, and three more in between leave three Halley steps to do.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import reduce
 
 import torch
 from torch import Tensor
 
-# Enough for depth/height within 10^+-3, up to 89.9 degrees, any index ratio within 2.5: see the accuracy tests.
-HALLEY_STEPS = {torch.float64: 5, torch.float32: 3}
-NEWTON_STEPS = {torch.float64: 10, torch.float32: 7}
-STACK_STEPS = 4
+TANGENTS = tuple((m**3 * (1.0 + m * m) ** -1.5, (1.0 + m * m) ** -1.5) for m in (1.2, 4.0, 16.0))
+
+# Enough for depth/height within 10^+-4: see the accuracy tests. The last step of float32 is one more, in float64.
+HALLEY_STEPS = {torch.float64: 3, torch.float32: 2}
+NEWTON_STEPS = {torch.float64: 7, torch.float32: 4}
+STACK_STEPS = 2
 
 
-def apparent_slope(
-    distance_sq: Tensor, clear: Tensor, thickness: Sequence[Tensor], index: Sequence[Tensor], method: str
-) -> Tensor:
+class Equation:
+    """F and what all its evaluations share."""
+
+    def __init__(
+        self, distance_sq: Tensor, clear: Tensor, thickness: Sequence[Tensor], index: Sequence[Tensor]
+    ) -> None:
+        self.distance_sq, self.clear, self.thickness, self.index = distance_sq, clear, thickness, index
+        self.index_sq = [n * n for n in index]
+        self.depth_index_sq = [d * n_sq for d, n_sq in zip(thickness, self.index_sq, strict=True)]
+        self.excess = [(n - 1.0) * (n + 1.0) * distance_sq for n in index]
+
+    def double(self) -> "Equation":
+        distance_sq, clear = self.distance_sq.double(), self.clear.double()
+        return Equation(distance_sq, clear, [d.double() for d in self.thickness], [n.double() for n in self.index])
+
+
+def find_root(equation: Equation, method: str) -> Tensor:
     """The root s (*B): Halley's or Newton's method from `lower_bound`.
 
     In single precision the last step is Halley's in double: for deep water seen at a grazing angle the rounding
     of w alone costs a factor of fifty.
     """
     step = _halley_step if method == "halley" else _newton_step
-    steps = (HALLEY_STEPS if method == "halley" else NEWTON_STEPS).get(distance_sq.dtype, 5)
-    steps += STACK_STEPS * (len(thickness) > 1)
-    terms = _Terms(distance_sq, clear, thickness, index)
-    s = lower_bound(distance_sq, clear, thickness, index)
+    steps = (HALLEY_STEPS if method == "halley" else NEWTON_STEPS).get(equation.distance_sq.dtype, 3)
+    steps += STACK_STEPS * (len(equation.index) > 1)
+    s = lower_bound(equation)
     for _ in range(steps):
-        s = step(s, terms)
+        s = step(s, equation)
     if s.dtype == torch.float32 and s.device.type != "mps":
-        in_double = _Terms(
-            distance_sq.double(), clear.double(), [d.double() for d in thickness], [n.double() for n in index]
-        )
-        s = _halley_step(s.double(), in_double).float()
+        s = _halley_step(s.double(), equation.double()).float()
     return s
 
 
-def lower_bound(distance_sq: Tensor, clear: Tensor, thickness: Sequence[Tensor], index: Sequence[Tensor]) -> Tensor:
-    """The larger of two lower bounds of s: one exact at nadir, one exact for a grazing ray."""
-    tiny = torch.finfo(distance_sq.dtype).tiny
-    nadir, hidden = clear, torch.zeros_like(clear)
-    for d, n in zip(thickness, index, strict=True):
-        nadir = nadir + d / n
-        hidden = hidden + d * ((n - 1.0) * (n + 1.0) * distance_sq).clamp(min=tiny).rsqrt()
-    grazing = (1.0 - hidden) / clear.clamp(min=tiny)
-    return torch.maximum(nadir.reciprocal(), grazing)
+def lower_bound(equation: Equation) -> Tensor:
+    """The largest of five lower bounds of s."""
+    clear = equation.clear
+    tiny = torch.finfo(clear.dtype).tiny
+    nadir = _sum(d / n for d, n in zip(equation.thickness, equation.index, strict=True))
+    grazing = _sum(d * x.clamp(min=tiny).rsqrt() for d, x in zip(equation.thickness, equation.excess, strict=True))
+    one = clear.new_ones(())
+    best = torch.maximum((clear + nadir).reciprocal(), (one - grazing) / clear.clamp(min=tiny))
+    for alpha, beta in TANGENTS:
+        bound = torch.add(one, grazing, alpha=-alpha) / torch.add(clear, nadir, alpha=beta)
+        best = torch.maximum(best, bound)
+    return best
 
 
-class _Terms:
-    """What every step needs of the equation, computed once."""
-
-    def __init__(
-        self, distance_sq: Tensor, clear: Tensor, thickness: Sequence[Tensor], index: Sequence[Tensor]
-    ) -> None:
-        self.clear = clear
-        self.layers = []
-        for d, n in zip(thickness, index, strict=True):
-            n_sq = n * n
-            self.layers.append((d, n_sq, d * n_sq, (n - 1.0) * (n + 1.0) * distance_sq))
-
-
-def _halley_step(s: Tensor, terms: _Terms) -> Tensor:
-    value, slope, half_bend = terms.clear, terms.clear, 0.0
-    for d, n_sq, d_n_sq, excess in terms.layers:
+def _halley_step(s: Tensor, equation: Equation) -> Tensor:
+    """In place wherever a tensor follows from s, which has the full shape and is nobody else's."""
+    value, slope, bend = equation.clear, equation.clear, None
+    terms = zip(equation.thickness, equation.index_sq, equation.depth_index_sq, equation.excess, strict=True)
+    for d, n_sq, d_n_sq, excess in terms:
         excess_s = excess * s
-        w_sq = (n_sq + excess_s * s).reciprocal()
-        w = w_sq.sqrt()
-        part = d_n_sq * (w * w_sq)
-        value = value + d * w
+        w = torch.addcmul(n_sq, excess_s, s).rsqrt_()
+        w_sq = w * w
+        value = torch.addcmul(value, d, w)
+        part = w.mul_(w_sq).mul_(d_n_sq)
         slope = slope + part
-        half_bend = half_bend + 1.5 * part * w_sq * excess_s
-    residual = s * value - 1.0
-    return s - residual * slope / (slope * slope + residual * half_bend)
+        change = excess_s.mul_(w_sq).mul_(part)
+        bend = change if bend is None else bend + change
+    assert bend is not None
+    residual = value.mul_(s).sub_(1.0)
+    denominator = torch.addcmul(slope * slope, residual, bend, value=1.5)
+    return torch.addcdiv(s, residual.mul_(slope), denominator, value=-1.0)
 
 
-def _newton_step(s: Tensor, terms: _Terms) -> Tensor:
-    value, slope = terms.clear, terms.clear
-    for d, n_sq, d_n_sq, excess in terms.layers:
+def _newton_step(s: Tensor, equation: Equation) -> Tensor:
+    value, slope = equation.clear, equation.clear
+    terms = zip(equation.thickness, equation.index_sq, equation.depth_index_sq, equation.excess, strict=True)
+    for d, n_sq, d_n_sq, excess in terms:
         w = (n_sq + excess * s * s).rsqrt()
         value = value + d * w
         slope = slope + d_n_sq * (w * w * w)
     return s - (s * value - 1.0) / slope
+
+
+def _sum(terms: Iterable[Tensor]) -> Tensor:
+    return reduce(torch.add, terms)

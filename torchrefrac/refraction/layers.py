@@ -23,7 +23,7 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from torchrefrac.refraction.iterations import apparent_slope
+from torchrefrac.refraction.iterations import Equation, find_root
 from torchrefrac.refraction.quartic import refrax_ratio_companion
 
 Method = Literal["halley", "newton", "companion"]
@@ -39,6 +39,29 @@ class HeightPartials(NamedTuple):
     by_index: tuple[Tensor, ...]
 
 
+def apparent_slope(
+    distance_sq: Tensor,
+    clear: Tensor,
+    thickness: Sequence[Tensor],
+    index: Sequence[Tensor],
+    method: Method = "halley",
+) -> Tensor:
+    """s (*B), the tangent of the ray's angle in the rarest medium over the horizontal distance.
+
+    distance_sq: square of the horizontal distance; clear >= 0: way through the rarest medium along the vertical, as far
+    as that medium is known; thickness >= 0 of each other layer, and index >= 1 of each relative to the rarest: 1 for
+    a layer that turns out to be it. All of one dtype, broadcasting, and not checked. What lies in the rarest
+    medium must be positive: beyond its critical angle a denser medium sends no light. Differentiable twice, under
+    `torch.func` (vmap, jacrev, jacfwd) and `torch.compile`.
+    """
+    arguments = (method, distance_sq, clear, *thickness, *index)
+    if not torch.compiler.is_compiling():
+        return _ForwardDifferentiable.apply(*arguments)
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in arguments[1:]):
+        return _Slope.apply(*arguments)
+    return _Slope.forward(*arguments)
+
+
 def apparent_height(
     distance_sq: Tensor,
     clear: Tensor,
@@ -46,38 +69,33 @@ def apparent_height(
     index: Sequence[Tensor],
     method: Method = "halley",
 ) -> Tensor:
-    """G (*B), how far below a camera in the rarest medium the point appears to be.
-
-    distance_sq: square of the horizontal distance; clear >= 0: way through the rarest medium along the vertical, as far
-    as that medium is known; thickness >= 0 of each other layer, and index >= 1 of each relative to the rarest: 1 for
-    a layer that turns out to be it. All of one dtype and one shape, and not checked. What lies in the rarest
-    medium must be positive: beyond its critical angle a denser medium sends no light. Differentiable twice, under
-    `torch.func` (vmap, jacrev, jacfwd) and `torch.compile`.
-    """
-    operator = _ApparentHeight if torch.compiler.is_compiling() else _ForwardDifferentiable
-    result = operator.apply(method, distance_sq, clear, *thickness, *index)
-    assert isinstance(result, Tensor)
-    return result
+    """G = 1/s (*B), how far below a camera in the rarest medium the point appears to be; see `apparent_slope`."""
+    return apparent_slope(distance_sq, clear, thickness, index, method).reciprocal()
 
 
 def apparent_height_partials(
     apparent: Tensor, distance_sq: Tensor, clear: Tensor, thickness: Sequence[Tensor], index: Sequence[Tensor]
 ) -> HeightPartials:
     """Derivatives of G = `apparent`, in closed form."""
-    s = apparent.reciprocal()
+    return _partials(apparent.reciprocal(), apparent, distance_sq, clear, thickness, index)
+
+
+def _partials(
+    s: Tensor, scale: Tensor, distance_sq: Tensor, clear: Tensor, thickness: Sequence[Tensor], index: Sequence[Tensor]
+) -> HeightPartials:
+    """Those of G for scale = G, those of s = 1/G for scale = -s."""
     s_sq = s * s
     tangent_sq = distance_sq * s_sq
     secant_sq = 1.0 + tangent_sq
     layers, slope, bend = [], clear, torch.zeros_like(s)
     for d, n in zip(thickness, index, strict=True):
         excess = (n - 1.0) * (n + 1.0)
-        w_sq = (n * n + excess * tangent_sq).reciprocal()
-        w = w_sq.sqrt()
-        d_w3 = d * (w * w_sq)
+        w = torch.addcmul(n * n, excess, tangent_sq).rsqrt()
+        d_w3 = d * (w * w * w)
         layers.append((w, d_w3 * n))
         slope = slope + d_w3 * (n * n)
         bend = bend + d_w3 * excess
-    unit = apparent / slope
+    unit = scale / slope
     return HeightPartials(
         by_distance_sq=-0.5 * unit * bend * s_sq,
         by_clear=unit,
@@ -86,7 +104,7 @@ def apparent_height_partials(
     )
 
 
-class _ApparentHeight(torch.autograd.Function):
+class _Slope(torch.autograd.Function):
     """Solve without a graph, differentiate implicitly; `backward` is itself differentiable."""
 
     generate_vmap_rule = True
@@ -95,10 +113,10 @@ class _ApparentHeight(torch.autograd.Function):
     def forward(method: Method, distance_sq: Tensor, clear: Tensor, *layers: Tensor) -> Tensor:
         thickness, index = _halves(layers)
         if method == "companion":
-            return clear / refrax_ratio_companion(clear, thickness[0], distance_sq, index[0])
+            return refrax_ratio_companion(clear, thickness[0], distance_sq, index[0]) / clear
         if len(thickness) > 1:
             clear, thickness = _split_off_the_rarest(clear, thickness, index)
-        return apparent_slope(distance_sq, clear, thickness, index, method).reciprocal()
+        return find_root(Equation(distance_sq, clear, thickness, index), method)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
@@ -110,7 +128,7 @@ class _ApparentHeight(torch.autograd.Function):
         return None, *(grads[0] * partial for partial in _saved_partials(ctx))
 
 
-class _ForwardDifferentiable(_ApparentHeight):
+class _ForwardDifferentiable(_Slope):
     """With a rule for forward mode too, which the compiler refuses."""
 
     @staticmethod
@@ -120,8 +138,8 @@ class _ForwardDifferentiable(_ApparentHeight):
 
 
 def _saved_partials(ctx: Any) -> list[Tensor]:
-    apparent, distance_sq, clear, *layers = ctx.saved_tensors
-    partials = apparent_height_partials(apparent, distance_sq, clear, *_halves(layers))
+    s, distance_sq, clear, *layers = ctx.saved_tensors
+    partials = _partials(s, -s, distance_sq, clear, *_halves(layers))
     return [partials.by_distance_sq, partials.by_clear, *partials.by_thickness, *partials.by_index]
 
 

@@ -70,7 +70,7 @@ def lift_points(center: Tensor, points: Tensor, interface: FlatInterface) -> tup
         return torch.stack(offset_components(sight, height), dim=-1), is_valid(sight, height)
 
     parameters = interface.parameters(points)
-    offset, valid = in_blocks(lift, (center, points, *parameters), (1, 1, 1, *(0 for _ in parameters[1:])))
+    offset, valid = in_blocks(lift, (center, points, *parameters), (1, 1, 1, *(0 for _ in parameters[1:])), (1, 0))
     return offset, valid
 
 
@@ -81,7 +81,7 @@ def look(center: Triple, point: Triple, parameters: Sequence[Tensor]) -> Sight:
     straight = triples.minus(point, center)
     along = triples.dot(n, straight)
     height, beyond = triples.dot(n, center) - offset, offset - triples.dot(n, point)
-    horizontal = triples.add_scaled(straight, -along, n)
+    horizontal = triples.add_scaled(straight, along, n, sign=-1.0)
     bent = (height > 0) & (beyond > 0)
     thickness, ends_here, passed = [], [], torch.zeros_like(offset)
     for d in inner:
@@ -138,7 +138,7 @@ def solve_height_with_partials(sight: Sight, camera_in_rarest: bool) -> Lift:
 
 def offset_components(sight: Sight, height: Tensor) -> Triple:
     """u - H n."""
-    return triples.add_scaled(sight.horizontal, -height, sight.normal)
+    return triples.add_scaled(sight.horizontal, height, sight.normal, sign=-1.0)
 
 
 def is_valid(sight: Sight, height: Tensor) -> Tensor:
@@ -149,7 +149,7 @@ def is_valid(sight: Sight, height: Tensor) -> Tensor:
 def _solve(sight: Sight, camera_in_rarest: bool) -> tuple[Tensor, tuple, Tensor | None]:
     """G, the terms it was solved from, and the index of the camera's medium relative to the rarest (None: 1)."""
     if camera_in_rarest:
-        terms = _alike(sight.distance_sq, sight.safe_height, sight.thickness, sight.index)
+        terms = (sight.distance_sq, sight.safe_height, sight.thickness, sight.index)
         return apparent_height(*terms), terms, None
     one = torch.ones_like(sight.index[0])
     rarest = one
@@ -157,15 +157,8 @@ def _solve(sight: Sight, camera_in_rarest: bool) -> tuple[Tensor, tuple, Tensor 
         rarest = torch.where(d > 0, torch.minimum(rarest, n.detach()), rarest)
     index = [one / rarest, *(torch.where(n < rarest, 1.0, n / rarest) for n in sight.index)]
     thickness = [sight.safe_height, *sight.thickness]
-    terms = _alike(sight.distance_sq, torch.zeros_like(sight.safe_height), thickness, index)
+    terms = (sight.distance_sq, torch.zeros_like(sight.safe_height), thickness, index)
     return apparent_height(*terms), terms, index[0]
-
-
-def _alike(
-    distance_sq: Tensor, clear: Tensor, thickness: Sequence[Tensor], index: Sequence[Tensor]
-) -> tuple[Tensor, Tensor, Sequence[Tensor], Sequence[Tensor]]:
-    distance_sq, clear, *layers = torch.broadcast_tensors(distance_sq, clear, *thickness, *index)
-    return distance_sq, clear, layers[: len(thickness)], layers[len(thickness) :]
 
 
 def _seen_from_camera(sight: Sight, apparent: Tensor, reference: Tensor | None) -> Tensor:

@@ -48,6 +48,6 @@ def refract_rays(center: Tensor, direction: Tensor, interface: FlatInterface) ->
 
     parameters = interface.parameters(direction)
     center, direction, valid = in_blocks(
-        refract, (center, direction, *parameters), (1, 1, 1, *(0 for _ in parameters[1:]))
+        refract, (center, direction, *parameters), (1, 1, 1, *(0 for _ in parameters[1:])), (1, 1, 0)
     )
     return center, direction, valid

@@ -5,7 +5,7 @@ from torch import Tensor
 
 from torchrefrac.checks import at_least_single, require, require_broadcasting, require_floating
 from torchrefrac.numerics import in_blocks
-from torchrefrac.refraction.layers import METHODS, Method, apparent_height
+from torchrefrac.refraction.layers import METHODS, Method, apparent_slope
 
 NAMES = ("height", "depth", "distance", "index_ratio")
 
@@ -41,10 +41,9 @@ def solve_refrax(
     require(index_ratio, "index_ratio", at_least=1.0)
 
     def solve(h: Tensor, d: Tensor, a: Tensor, n: Tensor) -> tuple[Tensor]:
-        h, d, a, n = torch.broadcast_tensors(h, d, a, n)
-        return (h / apparent_height(a * a, h, (d,), (n,), method),)
+        return (h * apparent_slope(a * a, h, (d,), (n,), method),)
 
-    return in_blocks(solve, _alike(values), event_dims=(0, 0, 0, 0))[0]
+    return in_blocks(solve, _alike(values), event_dims=(0, 0, 0, 0), result_dims=(0,))[0]
 
 
 def _alike(values: tuple[Tensor | float, ...]) -> list[Tensor]:
