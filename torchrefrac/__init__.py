@@ -8,10 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from torchrefrac import minimal
-    from torchrefrac.camera import Intrinsics, RefractiveCamera
+    from torchrefrac.camera import (
+        Intrinsics,
+        LearnableCamera,
+        RefractiveCamera,
+        from_kornia,
+        remove_refraction,
+        to_kornia,
+    )
     from torchrefrac.config import Options
+    from torchrefrac.geometry import Plane
     from torchrefrac.pipeline import reconstruct
-    from torchrefrac.refraction import FlatInterface, solve_refrax
+    from torchrefrac.refraction import FlatInterface, solve_refrax, water_index
     from torchrefrac.scene import Capture, Reconstruction, load_capture
 
 __version__ = "0.1.0"
@@ -20,25 +28,37 @@ __all__ = [
     "Capture",
     "FlatInterface",
     "Intrinsics",
+    "LearnableCamera",
     "Options",
+    "Plane",
     "Reconstruction",
     "RefractiveCamera",
+    "from_kornia",
     "load_capture",
     "minimal",
     "reconstruct",
+    "remove_refraction",
     "solve_refrax",
+    "to_kornia",
+    "water_index",
 ]
 
 _HOME = {
     "Capture": "scene",
     "FlatInterface": "refraction",
     "Intrinsics": "camera",
+    "LearnableCamera": "camera",
     "Options": "config",
+    "Plane": "geometry",
     "Reconstruction": "scene",
     "RefractiveCamera": "camera",
+    "from_kornia": "camera",
     "load_capture": "scene",
     "reconstruct": "pipeline",
+    "remove_refraction": "camera",
     "solve_refrax": "refraction",
+    "to_kornia": "camera",
+    "water_index": "refraction",
 }
 
 

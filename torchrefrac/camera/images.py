@@ -1,0 +1,51 @@
+"""Whole images: what a camera would have seen without the interface."""
+
+import torch
+from torch import Tensor
+
+from torchrefrac.camera.refractive import RefractiveCamera
+from torchrefrac.checks import at_least_single, require, require_ending
+
+
+def remove_refraction(
+    image: Tensor, camera: RefractiveCamera, depth: Tensor | float, target: RefractiveCamera | None = None
+) -> tuple[Tensor, Tensor]:
+    """Resample an image to what `target` would have seen had the scene at `depth` lain in the camera's own medium.
+
+    image (C, H, W) as taken by `camera` (one camera, no batch), whose intrinsics have its size; depth: how far below
+    the interface's first surface the scene lies, a number or a map (target height, target width) for every pixel
+    of the result, in the unit of the scene, above 0. target: a camera without an interface, by default
+    `camera.as_pinhole()`, with its lens; give it intrinsics without distortion to undistort in the same step.
+
+    Returns the image (C, target height, target width) by bilinear interpolation, and a mask of the pixels that `camera`
+    sees; elsewhere the result is 0. Exact where the scene lies at `depth`; a point at another depth is moved.
+    Differentiable in the image, the depth and the camera.
+    """
+    require_ending(image, "image", (camera.intrinsics.height, camera.intrinsics.width))
+    if image.dim() != 3:
+        raise ValueError(f"image has shape {tuple(image.shape)}, but must be (channels, height, width)")
+    if camera.shape:
+        raise ValueError(f"camera has batch shape {tuple(camera.shape)}, but must be a single one")
+    require(depth, "depth", above=0.0)
+    view = camera.as_pinhole() if target is None else target
+    points, met = _points_at_depth(view, camera, depth)
+    pixels, seen = camera.project(points, inside_image=True)
+    image = at_least_single(image)
+    size = pixels.new_tensor((camera.intrinsics.width, camera.intrinsics.height))
+    normalized = (2.0 * pixels / size - 1.0).to(image.dtype)
+    mask = met & seen
+    resampled = torch.nn.functional.grid_sample(
+        image[None], normalized[None], mode="bilinear", padding_mode="border", align_corners=False
+    )[0]
+    return torch.where(mask, resampled, 0.0), mask
+
+
+def _points_at_depth(view: RefractiveCamera, camera: RefractiveCamera, depth: Tensor | float) -> tuple[Tensor, Tensor]:
+    """Where the straight rays of `view` meet the plane `depth` below the interface (H, W, 3), and whether they do."""
+    plane = camera.plane_in_world()
+    center = view.center_in_world
+    directions = view.view_directions(view.intrinsics.pixel_grid())
+    approach = -(plane.normal_like(directions) * directions).sum(dim=-1)
+    met = approach > 0
+    distance = (plane.signed_distance(center) + depth) / torch.where(met, approach, 1.0)
+    return center + distance[..., None] * directions, met

@@ -1,0 +1,73 @@
+"""A camera as a module of a learning project: what it looks through, and where it stands, can be learnt."""
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import torch
+from torch import Tensor, nn
+
+from torchrefrac.camera.refractive import RefractiveCamera
+from torchrefrac.geometry import rotate, so3_exp
+
+LEARNABLE = ("index_ratio", "plane_tilt", "plane_height", "rotation", "center")
+
+
+class LearnableCamera(nn.Module):
+    """A `RefractiveCamera` whose index ratio, plane and poses are parameters; the lens stays as it is.
+
+    Parameters are changes from the camera given, all zero at the start: `index_ratio` (), log of the factor of
+    index ratio - 1; `plane_tilt` (2), radians, and `plane_height` (), the unit of the scene, as in `Plane.moved`;
+    `rotation` (*B, 3), left perturbation in radians, and `center` (*B, 3) for each camera. Those named in `learn` are
+    trained. The index ratio stays above 1 whatever the optimiser does.
+
+    Height and centre have the unit of the scene, the others none: give them learning rates of their own where that
+    unit is far from the size of the scene. Raises ValueError for a name that is not known, and for an index ratio to
+    learn that is 1 or belongs to more than two media.
+    """
+
+    index_ratio: Tensor
+    plane_tilt: Tensor
+    plane_height: Tensor
+    rotation: Tensor
+    center: Tensor
+
+    def __init__(self, camera: RefractiveCamera, learn: Collection[str] = ("index_ratio", "plane_height")) -> None:
+        super().__init__()
+        unknown = sorted(set(learn) - set(LEARNABLE))
+        if unknown:
+            raise ValueError(f"learn names {', '.join(unknown)}, but must be some of {', '.join(LEARNABLE)}")
+        interface = camera.interface
+        if "index_ratio" in learn and interface.layers is not None:
+            raise ValueError("interface has layers, but must be of two media for its index ratio to be learnt")
+        center = camera.center_in_world
+        start = interface.index_like(center)
+        if "index_ratio" in learn and not bool((start > 1.0).all()):
+            raise ValueError("index_ratio is 1, but must be above 1 to be learnt: start from a guess")
+        sizes = {
+            "index_ratio": (),
+            "plane_tilt": (2,),
+            "plane_height": (),
+            "rotation": (*camera.shape, 3),
+            "center": (*camera.shape, 3),
+        }
+        for name, size in sizes.items():
+            self.register_parameter(name, nn.Parameter(center.new_zeros(size), requires_grad=name in learn))
+        self._start = camera
+
+    @property
+    def camera(self) -> RefractiveCamera:
+        """The camera as learnt so far, differentiable in the parameters."""
+        start = self._start.to(dtype=self.center.dtype, device=self.center.device)
+        interface = replace(start.interface, plane=start.interface.plane.moved(self.plane_tilt, self.plane_height))
+        if interface.layers is None:
+            index_ratio = 1.0 + (interface.index_like(self.center) - 1.0) * self.index_ratio.exp()
+            interface = interface.with_index_ratio(index_ratio)
+        rotation = so3_exp(self.rotation)
+        turned = torch.stack(
+            [rotate(rotation, column) for column in start.cam_from_world_rotation.unbind(dim=-1)], dim=-1
+        )
+        return RefractiveCamera(start.intrinsics, turned, start.center_in_world + self.center, interface, check=False)
+
+    def forward(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
+        """`RefractiveCamera.project`."""
+        return self.camera.project(points_in_world)
