@@ -25,6 +25,7 @@ lint: $(READY)
 	$(BIN)/lint-imports
 
 bench: $(READY)
+	$(BIN)/python tools/bench/refraction.py
 	$(BIN)/python tools/bench/sparse.py $(wildcard ../shared/data/tank)
 
 clean:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from torchrefrac.features import MatchOptions, SiftOptions
+from torchrefrac.refraction import water_index
 from torchrefrac.scene.capture_file import MAX_INDEX_RATIO
 from torchrefrac.sfm import SfmOptions
 
@@ -28,14 +29,33 @@ class ModelOptions:
 
 @dataclass(frozen=True)
 class WaterOptions:
-    """index_ratio n_water / n_air; None takes the one of the capture."""
+    """index_ratio n_water / n_air, or the water's temperature to compute it from; neither takes that of the capture.
+
+    temperature_c 0 to 30 degrees Celsius, salinity_psu 0 to 35 g/kg, wavelength_nm 400 to 700 (see `water_index`).
+    """
 
     index_ratio: float | None = None
+    temperature_c: float | None = None
+    salinity_psu: float = 0.0
+    wavelength_nm: float = 550.0
 
     def __post_init__(self) -> None:
+        if self.index_ratio is not None and self.temperature_c is not None:
+            raise OptionError("water.index_ratio and water.temperature_c are both given, but one decides the other")
+        if self.temperature_c is not None:
+            try:
+                water_index(self.temperature_c, self.salinity_psu, self.wavelength_nm)
+            except ValueError as error:
+                raise OptionError(f"water.{error}") from None
         if self.index_ratio is not None and not 1.0 <= self.index_ratio <= MAX_INDEX_RATIO:
             wants = f"lie between 1 and {MAX_INDEX_RATIO:g} (water: 1.333)"
             raise OptionError(f"water.index_ratio is {self.index_ratio:g}, but must {wants}")
+
+    def ratio_of(self, capture_ratio: float) -> float:
+        """The index ratio to use for a capture that states `capture_ratio`."""
+        if self.temperature_c is not None:
+            return float(water_index(self.temperature_c, self.salinity_psu, self.wavelength_nm))
+        return capture_ratio if self.index_ratio is None else self.index_ratio
 
 
 @dataclass(frozen=True)

@@ -96,7 +96,7 @@ class _Stages:
 def _initializer(capture: Capture, options: Options, recorder: Recorder) -> tuple[PoseInitializer, SfmOptions]:
     """Pose initialiser and SfM options of the model that was asked for."""
     sfm = replace(options.sfm, bundle=replace(options.sfm.bundle, refine_radial=options.model.name == "radial"))
-    ratio = options.water.index_ratio or capture.index_ratio
+    ratio = options.water.ratio_of(capture.index_ratio)
     if options.model.name != "refractive":
         return PinholeInitializer(capture, sfm), sfm
     if ratio == 1.0:

@@ -7,6 +7,7 @@ from hydra import compose, initialize_config_dir
 
 from torchrefrac.cli import CONF, run_options
 from torchrefrac.config import OptionError, Options, WaterOptions, build
+from torchrefrac.refraction import water_index
 
 GROUPS = sorted(str(path.relative_to(CONF).with_suffix("")) for path in CONF.glob("*/*.yaml"))
 
@@ -37,6 +38,12 @@ def test_the_water_group_sets_the_index_ratio():
     assert ratios == {"fresh": WaterOptions(1.333), "sea": WaterOptions(1.34), "air": WaterOptions(1.0)}
 
 
+def test_the_index_ratio_can_come_from_the_temperature_of_the_water():
+    water = run_options(_compose("water=measured", "water.temperature_c=12")).reconstruction.water
+
+    assert water.ratio_of(1.5) == pytest.approx(float(water_index(12.0, 0.0, 550.0)))
+
+
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
@@ -51,6 +58,14 @@ def test_the_water_group_sets_the_index_ratio():
             "model.name is 'perspective', but must be one of none, radial, refractive",
         ),
         ({"water": {"index_ratio": 0.5}}, "water.index_ratio is 0.5, but must lie between 1 and 3"),
+        (
+            {"water": {"temperature_c": 60.0}},
+            "water.temperature_c is 60, but must be finite and at least 0 and at most 30",
+        ),
+        (
+            {"water": {"index_ratio": 1.3, "temperature_c": 9.0}},
+            "water.index_ratio and water.temperature_c are both given",
+        ),
         ({"water": {"index_ratio": "wet"}}, "water.index_ratio is 'wet', but must be a number"),
     ],
 )
