@@ -25,7 +25,7 @@ TANGENTS = tuple((m**3 * (1.0 + m * m) ** -1.5, (1.0 + m * m) ** -1.5) for m in 
 # Enough for depth/height within 10^+-4: see the accuracy tests. The last step of float32 is one more, in float64.
 HALLEY_STEPS = {torch.float64: 3, torch.float32: 2}
 NEWTON_STEPS = {torch.float64: 7, torch.float32: 4}
-STACK_STEPS = 2
+CLIMBS = 3
 
 
 class Equation:
@@ -52,8 +52,9 @@ def find_root(equation: Equation, method: str) -> Tensor:
     """
     step = _halley_step if method == "halley" else _newton_step
     steps = (HALLEY_STEPS if method == "halley" else NEWTON_STEPS).get(equation.distance_sq.dtype, 3)
-    steps += STACK_STEPS * (len(equation.index) > 1)
     s = lower_bound(equation)
+    if len(equation.index) > 1:
+        s = _climb(s, equation)
     for _ in range(steps):
         s = step(s, equation)
     if s.dtype == torch.float32 and s.device.type != "mps":
@@ -75,8 +76,34 @@ def lower_bound(equation: Equation) -> Tensor:
     return best
 
 
+def _climb(s: Tensor, equation: Equation) -> Tensor:
+    """A better lower bound from a lower bound, for stacks.
+
+    Where a thin layer of the rarest medium lies beside a nearly as rare one, F has a second knee that Halley may jump
+    over. Newton from any point ends below the root: the better of Newton from s and from where Halley jumps.
+    """
+    for _ in range(CLIMBS):
+        residual, slope, bend = _evaluate(s, equation)
+        newton = s - residual / slope
+        ahead = s - residual * slope / torch.addcmul(slope * slope, residual, bend)
+        ahead = torch.where(ahead > s, ahead, newton)
+        s = torch.maximum(newton, _newton_step(ahead, equation))
+    return s
+
+
 def _halley_step(s: Tensor, equation: Equation) -> Tensor:
-    """In place wherever a tensor follows from s, which has the full shape and is nobody else's."""
+    residual, slope, bend = _evaluate(s, equation)
+    denominator = torch.addcmul(slope * slope, residual, bend)
+    return torch.addcdiv(s, residual.mul_(slope), denominator, value=-1.0)
+
+
+def _newton_step(s: Tensor, equation: Equation) -> Tensor:
+    residual, slope, _ = _evaluate(s, equation)
+    return s - residual / slope
+
+
+def _evaluate(s: Tensor, equation: Equation) -> tuple[Tensor, Tensor, Tensor]:
+    """F, dF/ds and -1/2 d2F/ds2. In place wherever a tensor follows from s, which has the full shape."""
     value, slope, bend = equation.clear, equation.clear, None
     terms = zip(equation.thickness, equation.index_sq, equation.depth_index_sq, equation.excess, strict=True)
     for d, n_sq, d_n_sq, excess in terms:
@@ -89,19 +116,7 @@ def _halley_step(s: Tensor, equation: Equation) -> Tensor:
         change = excess_s.mul_(w_sq).mul_(part)
         bend = change if bend is None else bend + change
     assert bend is not None
-    residual = value.mul_(s).sub_(1.0)
-    denominator = torch.addcmul(slope * slope, residual, bend, value=1.5)
-    return torch.addcdiv(s, residual.mul_(slope), denominator, value=-1.0)
-
-
-def _newton_step(s: Tensor, equation: Equation) -> Tensor:
-    value, slope = equation.clear, equation.clear
-    terms = zip(equation.thickness, equation.index_sq, equation.depth_index_sq, equation.excess, strict=True)
-    for d, n_sq, d_n_sq, excess in terms:
-        w = (n_sq + excess * s * s).rsqrt()
-        value = value + d * w
-        slope = slope + d_n_sq * (w * w * w)
-    return s - (s * value - 1.0) / slope
+    return value.mul_(s).sub_(1.0), slope, bend.mul_(1.5)
 
 
 def _sum(terms: Iterable[Tensor]) -> Tensor:
