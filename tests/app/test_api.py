@@ -8,8 +8,9 @@ import pytest
 import torchrefrac
 
 PUBLIC = {
-    "Capture", "FlatInterface", "Intrinsics", "Options", "Reconstruction", "RefractiveCamera",
-    "load_capture", "minimal", "reconstruct", "solve_refrax",
+    "Capture", "FlatInterface", "Intrinsics", "LearnableCamera", "Options", "Plane", "Reconstruction",
+    "RefractiveCamera", "from_kornia", "load_capture", "minimal", "reconstruct", "remove_refraction", "solve_refrax",
+    "to_kornia", "water_index",
 }  # fmt: skip
 
 

@@ -1,5 +1,9 @@
 """Intrinsics."""
 
+import math
+from dataclasses import replace
+
+import pytest
 import torch
 from tolerances import assert_matches, assert_same_pixels
 
@@ -53,3 +57,119 @@ def test_another_dtype_keeps_everything_else(lens):
     assert (single.width, single.height) == (lens.width, lens.height)
     for name in ("focal", "principal_point", "distortion"):
         assert_matches(getattr(single, name), getattr(lens, name).float())
+
+
+@pytest.mark.parametrize(
+    "distortion",
+    [(-0.28, 0.11, 0.0004, -0.0003, -0.02), (0.2, 0.1, 0.0, 0.0, 0.02), (-0.05, 0.01, 0.01, -0.02, 0.0)],
+    ids=["barrel", "pincushion", "decentred"],
+)
+@pytest.mark.parametrize("focal", [(900.0, 910.0), (700.0, 650.0)])
+def test_strong_but_calibrated_lenses_are_undone_over_the_whole_image(distortion, focal):
+    lens = Intrinsics.create(1000, 800, focal, (510.0, 390.0), distortion)
+    corners = torch.tensor([[0.0, 0.0], [1000.0, 0.0], [0.0, 800.0], [1000.0, 800.0]], dtype=torch.float64)
+
+    for pixels in (lens.pixel_grid(160, 200), corners):
+        assert_same_pixels(lens.pixels_from_plane(lens.plane_from_pixels(pixels)), pixels)
+
+
+def test_every_camera_of_a_batch_has_a_lens_of_its_own(draw, lens, make_pixels):
+    lenses = Intrinsics(
+        1000,
+        800,
+        draw.uniform(800.0, 900.0, 3, 2),
+        draw.uniform(380.0, 520.0, 3, 2),
+        0.02 * draw.uniform(-1.0, 1.0, 3, 5),
+    )
+    pixels = make_pixels(7)
+
+    plane = lenses.indexed((slice(None), None), (3,)).plane_from_pixels(pixels)
+
+    assert lenses.shape == (3,)
+    assert plane.shape == (3, 7, 2)
+    alone = lenses.indexed(2, (3,))
+    assert alone.shape == ()
+    assert_matches(plane[2], alone.plane_from_pixels(pixels))
+
+
+def test_a_lens_that_all_cameras_share_stays_shared(lens):
+    part = lens.indexed(2, (3,))
+
+    assert part.shape == lens.shape == ()
+    assert part.focal is lens.focal
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "message"),
+    [
+        ("focal", (3,), r"focal has shape \(3,\), but must end in \(2,\)"),
+        ("focal", (), r"focal has shape \(\), but must end in \(2,\)"),
+        ("principal_point", (2, 1), r"principal_point has shape \(2, 1\), but must end in \(2,\)"),
+        ("distortion", (4,), r"distortion has shape \(4,\), but must end in \(5,\)"),
+    ],
+)
+def test_parameters_of_a_wrong_shape_are_refused(lens, name, shape, message):
+    with pytest.raises(ValueError, match=message):
+        replace(lens, **{name: torch.zeros(shape)})
+
+
+@pytest.mark.parametrize(("width", "height"), [(0, 480), (640, 0), (-1, 480)])
+def test_an_image_without_pixels_is_refused(width, height):
+    with pytest.raises(ValueError, match=rf"width and height are {width} and {height}, but must be at least 1 pixel"):
+        Intrinsics.create(width, height, 500.0)
+
+
+def test_parameters_that_do_not_fit_each_other_are_refused_with_their_shapes(lens):
+    odd = replace(lens, focal=torch.ones(3, 2), distortion=torch.zeros(4, 5))
+
+    with pytest.raises(ValueError, match=r"do not broadcast: focal \(3,\), principal_point \(\), distortion \(4,\)"):
+        _ = odd.shape
+
+
+def test_a_pixel_that_is_no_number_lies_outside(lens):
+    pixels = torch.tensor([[math.nan, 5.0], [5.0, math.nan], [math.inf, 5.0], [5.0, 5.0]])
+
+    assert lens.contains(pixels).tolist() == [False, False, False, True]
+
+
+def test_the_grid_holds_the_centre_of_every_pixel():
+    grid = Intrinsics.create(3, 2, 1.0).pixel_grid()
+
+    assert grid.shape == (2, 3, 2)
+    assert grid[..., 0].tolist() == [[0.5, 1.5, 2.5]] * 2
+    assert grid[..., 1].tolist() == [[0.5] * 3, [1.5] * 3]
+
+
+def test_each_pixel_of_a_grid_of_half_the_size_is_the_middle_of_four(lens):
+    half = lens.pixel_grid(400, 500)
+
+    four = lens.pixel_grid().reshape(400, 2, 500, 2, 2).mean(dim=(1, 3))
+    assert torch.equal(half, four)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (7, 3), (1600, 2000)])
+def test_a_grid_of_any_size_covers_the_image_evenly(lens, rows, columns):
+    grid = lens.pixel_grid(rows, columns)
+
+    assert grid.shape == (rows, columns, 2)
+    size = torch.tensor([lens.width / columns, lens.height / rows], dtype=torch.float64)
+    assert_matches(grid[0, 0], size / 2.0)
+    assert_matches(grid[-1, -1], torch.tensor([lens.width, lens.height]) - size / 2.0)
+    assert_matches(grid.mean(dim=(0, 1)), torch.tensor([500.0, 400.0], dtype=torch.float64), slack=10.0)
+    assert lens.contains(grid).all()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_grid_is_of_the_dtype_of_the_lens(lens, dtype):
+    assert lens.to(dtype=dtype).pixel_grid(2, 2).dtype == dtype
+
+
+def test_one_side_of_the_grid_may_be_left_as_the_image_is(lens):
+    assert lens.pixel_grid(height=7).shape == (7, 1000, 2)
+    assert lens.pixel_grid(width=7).shape == (800, 7, 2)
+
+
+def test_a_grid_without_rows_or_columns_is_refused(lens):
+    for size in ((0, 5), (5, 0), (-1, 5)):
+        with pytest.raises(ValueError, match=r"height|width"):
+            lens.pixel_grid(*size)

@@ -3,18 +3,18 @@
 import math
 from dataclasses import replace
 
-import cv2
-import numpy as np
 import pytest
 import torch
+from camera_scenes import opencv_pinhole
 from scipy.optimize import brentq
 from tolerances import assert_matches, assert_same_pixels
 
-from torchrefrac.camera import Intrinsics, RefractiveCamera
-from torchrefrac.geometry import heading_rotation, so3_exp
+from torchrefrac.camera import RefractiveCamera
+from torchrefrac.geometry import Plane, heading_rotation, so3_exp
 from torchrefrac.refraction import FlatInterface
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+ONE = torch.ones(100, dtype=torch.float64)
 
 
 def test_projection_is_that_of_the_quickest_path_of_light_and_an_opencv_lens(make_camera, points_seen):
@@ -25,7 +25,7 @@ def test_projection_is_that_of_the_quickest_path_of_light_and_an_opencv_lens(mak
 
     assert valid.all()
     refraxes = _quickest_refraxes(camera.center_in_world, points, 1.333)
-    assert_same_pixels(pixels, _project_with_opencv(camera, refraxes), slack=10.0)
+    assert_same_pixels(pixels, opencv_pinhole(camera, refraxes), slack=10.0)
 
 
 def test_a_land_point_projects_as_opencv_says(make_camera, points_seen):
@@ -35,17 +35,56 @@ def test_a_land_point_projects_as_opencv_says(make_camera, points_seen):
     pixels, valid = camera.project(points)
 
     assert valid.all()
-    assert_same_pixels(pixels, _project_with_opencv(camera, points))
+    assert_same_pixels(pixels, opencv_pinhole(camera, points))
 
 
-def test_at_index_ratio_one_projection_is_exactly_the_pinhole(draw, make_camera):
+def test_at_index_ratio_one_projection_is_the_pinhole_of_a_matrix_product_and_of_opencv(draw, make_camera):
     camera = make_camera(100, index_ratio=1.0)
     points = camera.center_in_world + draw.uniform(-1.0, 1.0, 100, 3) - 3.0 * UP
 
-    pixels, _ = camera.project(points)
+    pixels, valid = camera.project(points)
 
+    assert valid.all()
     x, y, z = (camera.cam_from_world_rotation @ (points - camera.center_in_world)[..., None])[..., 0].unbind(dim=-1)
-    assert torch.equal(pixels, camera.intrinsics.pixels_from_plane(torch.stack((x, y), dim=-1) / z[..., None]))
+    by_product = camera.intrinsics.pixels_from_plane(torch.stack((x, y), dim=-1) / z[..., None])
+    torch.testing.assert_close(pixels, by_product, rtol=0.0, atol=1e-12)
+    assert_same_pixels(pixels, opencv_pinhole(camera, points))
+
+
+@pytest.mark.parametrize(
+    "interface",
+    [
+        FlatInterface(ONE[0]),
+        FlatInterface(ONE),
+        FlatInterface(1.0, plane=Plane((0.3, 0.1, 1.0), 0.4)),
+        FlatInterface(layers=(1.333, 1.333)),
+        FlatInterface(layers=(1.5, 1.5, 1.5), thickness=(0.2,)),
+        FlatInterface(layers=1.333 * ONE[:3], thickness=(0.2,)),
+        FlatInterface(layers=(ONE, 1.0, ONE), thickness=(0.2 * ONE,)),
+        FlatInterface(layers=(ONE, ONE), plane=Plane((0.0, 0.0, -1.0), -0.1), moves_with_camera=True),
+    ],
+    ids=["tensor", "tensors", "tilted", "two", "three", "one tensor", "batched layers", "port"],
+)
+def test_an_interface_of_one_index_in_any_form_is_none(draw, make_camera, interface):
+    camera = make_camera(100, index_ratio=1.0)
+    points = camera.center_in_world + draw.uniform(-1.0, 1.0, 100, 3) - 3.0 * UP
+
+    pixels, valid = replace(camera, interface=interface).project(points)
+
+    assert valid.all()
+    torch.testing.assert_close(pixels, camera.project(points)[0], rtol=0.0, atol=1e-12)
+
+
+def test_the_number_one_means_no_interface_to_the_last_bit(draw, make_camera):
+    camera = make_camera(100)
+    points = camera.center_in_world + draw.uniform(-1.0, 1.0, 100, 3) - 3.0 * UP
+
+    pixels, _ = camera.as_pinhole().project(points)
+
+    for one in (1.0, 1):
+        assert torch.equal(pixels, replace(camera, interface=FlatInterface(one)).project(points)[0])
+    wall = replace(camera, interface=FlatInterface.glass_wall(Plane((0.1, 0.0, 1.0), -9.0), 0.1))
+    assert torch.equal(pixels, wall.as_pinhole().project(points)[0])
 
 
 @pytest.mark.parametrize("index_ratio", [1.0, 1.333, 2.0])
@@ -168,7 +207,7 @@ def test_points_behind_the_camera_are_masked_and_stay_finite(make_camera, points
 def test_a_camera_under_water_is_masked_but_for_index_ratio_one(make_camera, points_seen, index_ratio, expected):
     camera = make_camera(50, index_ratio=index_ratio)
     points = points_seen(camera, 50, land=True)
-    sunk = replace(camera, center_in_world=camera.center_in_world - 10.0 * UP)
+    sunk = replace(camera, center_in_world=camera.center_in_world - 10.0 * UP, check=False)
 
     pixels, valid = sunk.project(points - 10.0 * UP)
 
@@ -246,6 +285,65 @@ def test_poses_of_a_wrong_shape_are_refused(lens, rotation, center, message):
         RefractiveCamera(lens, torch.zeros(rotation), torch.zeros(center), FlatInterface())
 
 
+@pytest.mark.parametrize("name", ["cam_from_world_rotation", "center_in_world"])
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+@pytest.mark.parametrize("index_ratio", [1.0, 1.333])
+def test_a_pose_that_is_not_finite_is_refused_by_name(make_camera, name, bad, index_ratio):
+    camera = make_camera(3, index_ratio=index_ratio)
+    pose = getattr(camera, name).clone()
+    pose[1, 0] = bad
+
+    with pytest.raises(ValueError, match=f"^{name} is {bad} somewhere, but must be finite"):
+        replace(camera, **{name: pose})
+
+
+@pytest.mark.parametrize("height", [-0.5, 0.0])
+def test_a_camera_that_does_not_stand_above_the_water_is_refused(make_camera, height):
+    camera = make_camera(3)
+    center = camera.center_in_world.clone()
+    center[1, 2] = height
+
+    with pytest.raises(ValueError, match=r"^center_in_world is -?0(\.5)? behind the interface somewhere, but must be"):
+        replace(camera, center_in_world=center)
+
+
+def test_a_camera_below_a_tilted_plane_is_refused_though_it_stands_above_the_origin(make_camera):
+    camera = make_camera()
+    center = torch.tensor([-3.0, 0.0, 2.0], dtype=torch.float64)  # (1, 0, 1) has it below
+    tilted = FlatInterface(1.333, plane=Plane((1.0, 0.0, 1.0), 0.0))
+
+    with pytest.raises(ValueError, match=r"^center_in_world is 0\.70710\d behind the interface"):
+        replace(camera, center_in_world=center, interface=tilted)
+    replace(camera, center_in_world=center, interface=replace(tilted, plane=Plane((-1.0, 0.0, -1.0), 0.0)))
+    replace(camera, center_in_world=center, interface=FlatInterface(1.0, plane=tilted.plane))
+
+
+def test_a_port_behind_the_camera_is_refused(make_camera):
+    with pytest.raises(ValueError, match=r"^interface.plane lies 0\.1 behind the camera"):
+        replace(make_camera(3), interface=FlatInterface.flat_port(-0.1, 0.01))
+
+
+def test_only_the_cameras_at_an_interface_that_refracts_must_stand_on_its_side(make_camera):
+    camera = make_camera(2)
+    center = camera.center_in_world.clone()
+    center[1, 2] = -1.0
+    one_bends = FlatInterface(torch.tensor([1.333, 1.0], dtype=torch.float64))
+
+    replace(camera, center_in_world=center, interface=one_bends)
+    with pytest.raises(ValueError, match="behind the interface"):
+        replace(camera, center_in_world=center.flip(0), interface=one_bends)
+
+
+def test_the_refusal_tells_how_deep_the_camera_stands_that_must_not(make_camera):
+    camera = make_camera(2)
+    center = camera.center_in_world.clone()
+    center[:, 2] = torch.tensor([-1.5, -9.0])
+    one_bends = FlatInterface(torch.tensor([1.333, 1.0], dtype=torch.float64))
+
+    with pytest.raises(ValueError, match=r"^center_in_world is 1\.5 behind the interface"):
+        replace(camera, center_in_world=center, interface=one_bends)
+
+
 def _quickest_refraxes(centers, points, index):
     """Points on the surface through which light travels quickest (Fermat), in plain Python, one by one."""
     refraxes = []
@@ -259,17 +357,3 @@ def _quickest_refraxes(centers, points, index):
         ratio = brentq(slowing, 0.0, distance, xtol=1e-300, rtol=1e-15) / distance
         refraxes.append([c + ratio * (p - c) for c, p in zip(center[:2], point[:2], strict=True)] + [0.0])
     return torch.tensor(refraxes, dtype=torch.float64)
-
-
-def _project_with_opencv(camera, points):
-    """Straight projection by OpenCV, whose first pixel has its centre at (0, 0) instead of (0.5, 0.5)."""
-    lens: Intrinsics = camera.intrinsics
-    (fx, fy), (cx, cy) = lens.focal.tolist(), lens.principal_point.tolist()
-    matrix = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]])
-    pixels = []
-    for rotation, center, point in zip(
-        camera.cam_from_world_rotation.numpy(), camera.center_in_world.numpy(), points.numpy(), strict=True
-    ):
-        turn, shift = cv2.Rodrigues(rotation)[0], -rotation @ center
-        pixels.append(cv2.projectPoints(point[None], turn, shift, matrix, lens.distortion.numpy())[0][0, 0] + 0.5)
-    return torch.as_tensor(np.stack(pixels))

@@ -5,18 +5,19 @@ from dataclasses import replace
 
 import pytest
 import torch
+from camera_scenes import COUNT, INTERFACES, PLACES, at_every_place, for_every_interface, scene
 from tolerances import assert_matches
 
 from torchrefrac.camera import ProjectionJacobians, RefractiveCamera
-from torchrefrac.geometry import so3_exp
+from torchrefrac.geometry import Plane, so3_exp
 from torchrefrac.refraction import FlatInterface
 
-COUNT = 6
+SLACK = 10.0  # a relative error of 1e-12
 
 
 @pytest.fixture
 def view(draw, make_camera, points_seen):
-    """`view(place)`: a batch of cameras and the points that they look at, at an ordinary or a degenerate place."""
+    """`view(place)`: cameras above water and the points that they look at, at an ordinary or a degenerate place."""
 
     def make(place):
         if place == "grazing":
@@ -30,27 +31,42 @@ def view(draw, make_camera, points_seen):
     return make
 
 
-at_every_place = pytest.mark.parametrize("place", ["water", "land", "nadir", "grazing", "index ratio 1"])
+over_water = pytest.mark.parametrize("place", [*PLACES, "index ratio 1"])
 
 
-@at_every_place
+@over_water
 def test_every_block_is_that_of_autograd_through_the_projection(view, place):
     camera, points = view(place)
+
+    _assert_jacobians_of_autograd(camera, points, slack=10.0)
+
+
+@for_every_interface
+@at_every_place
+def test_every_block_is_that_of_autograd_through_any_interface(draw, lens, name, place):
+    camera, points = scene(draw, lens, name, place)
+
+    _assert_jacobians_of_autograd(camera, points, slack=SLACK)
+
+
+@for_every_interface
+@at_every_place
+def test_a_small_step_in_all_parameters_changes_the_pixels_as_the_blocks_say(draw, lens, name, place):
+    camera, points = scene(draw, lens, name, place)
     project, parameters = _by_parameters(camera, points)
-    pixels = project(*parameters)
-    assert camera.project(points)[1].all()
+    tried = [not (str(block) == "indices" and _lacks_refraction(name)) for block in ProjectionJacobians._fields]
+    step = [1e-6 * use * draw.normal(*at.shape) for use, at in zip(tried, parameters, strict=True)]
 
-    jacobians = camera.project_with_jacobians(points)[1]
+    with torch.no_grad():
+        ahead = project(*(at + by for at, by in zip(parameters, step, strict=True)))
+        back = project(*(at - by for at, by in zip(parameters, step, strict=True)))
 
-    for axis in range(2):
-        gradients = torch.autograd.grad(pixels[:, axis].sum(), parameters, retain_graph=True)
-        for name, block, gradient in zip(ProjectionJacobians._fields, jacobians, gradients, strict=True):
-            size = gradient.abs().amax().clamp(min=1.0)
-            assert block.shape == (COUNT, 2, *gradient.shape[1:]), name
-            assert_matches(block[:, axis] / size, gradient / size, slack=10.0)
+    blocks = camera.project_with_jacobians(points)[1]
+    expected = sum(_change(block, by) for block, by in zip(blocks, step, strict=True))
+    torch.testing.assert_close((ahead - back) / 2.0, expected, rtol=1e-6, atol=1e-8)
 
 
-@pytest.mark.parametrize("place", ["water", "land", "nadir", "grazing"])
+@pytest.mark.parametrize("place", ["ordinary", "land", "nadir", "grazing"])
 def test_autograd_through_the_projection_is_right_in_every_parameter(view, place):
     project, parameters = _by_parameters(*view(place))
 
@@ -59,11 +75,15 @@ def test_autograd_through_the_projection_is_right_in_every_parameter(view, place
 
 def test_autograd_at_index_ratio_one_is_right_in_every_other_parameter(view):
     project, parameters = _by_parameters(*view("index ratio 1"))
+    *before, indices, tilt, height = parameters
 
-    assert torch.autograd.gradcheck(lambda *x: project(*x, parameters[-1].detach()), parameters[:-1], atol=1e-4)
+    def project_straight(*others):
+        return project(*others[:-2], indices.detach(), *others[-2:])
+
+    assert torch.autograd.gradcheck(project_straight, (*before, tilt, height), atol=1e-4)
 
 
-@at_every_place
+@over_water
 def test_the_pixels_and_the_mask_are_those_of_project(view, place):
     camera, points = view(place)
 
@@ -72,6 +92,53 @@ def test_the_pixels_and_the_mask_are_those_of_project(view, place):
     expected, expected_valid = camera.project(points)
     assert_matches(pixels, expected, slack=10.0)
     assert torch.equal(valid, expected_valid)
+
+
+@for_every_interface
+@at_every_place
+def test_the_pixels_and_the_mask_are_those_of_project_through_any_interface(draw, lens, name, place):
+    camera, points = scene(draw, lens, name, place)
+
+    pixels, _, valid = camera.project_with_jacobians(points)
+
+    expected, expected_valid = camera.project(points)
+    assert_matches(pixels, expected, slack=10.0)
+    assert torch.equal(valid, expected_valid)
+
+
+@for_every_interface
+def test_every_block_has_the_shape_of_the_batch_and_of_its_parameter(draw, lens, name):
+    camera, points = scene(draw, lens, name, "ordinary")
+
+    blocks = camera[:, None].project_with_jacobians(points[:4])[1]
+
+    layers = len(INTERFACES[name].indices) - 1
+    ends = ((2, 3), (2, 3), (2, 3), (2, 2), (2, 2), (2, 5), (2, layers), (2, 2), (2,))
+    assert [block.shape for block in blocks] == [(COUNT, 4, *end) for end in ends]
+    assert torch.equal(blocks.index_ratio, blocks.indices[..., -1])
+
+
+def test_at_a_water_surface_the_index_ratio_is_the_only_index(view):
+    camera, points = view("ordinary")
+    index_ratio = torch.full((COUNT,), 1.333, dtype=torch.float64, requires_grad=True)
+
+    pixels, _ = replace(camera, interface=FlatInterface(index_ratio)).project(points)
+
+    blocks = camera.project_with_jacobians(points)[1]
+    for axis in range(2):
+        (expected,) = torch.autograd.grad(pixels[:, axis].sum(), index_ratio, retain_graph=True)
+        assert_matches(blocks.index_ratio[:, axis], expected, slack=SLACK)
+
+
+def test_the_blocks_are_those_of_layers_of_which_only_the_ratios_of_indices_matter(draw, lens):
+    camera, points = scene(draw, lens, "glass wall", "ordinary")
+    twice = FlatInterface(layers=(2.0, 3.04, 2.0 * camera.interface.index_ratio), thickness=(0.1,))
+    twice = replace(twice, plane=camera.interface.plane)
+
+    blocks = replace(camera, interface=twice).project_with_jacobians(points)[1]
+
+    for block, expected in zip(blocks, camera.project_with_jacobians(points)[1], strict=True):
+        assert_matches(block, expected, slack=10.0)
 
 
 def test_a_grid_of_cameras_and_points_gives_a_grid_of_jacobians(make_camera, points_seen):
@@ -86,22 +153,62 @@ def test_a_grid_of_cameras_and_points_gives_a_grid_of_jacobians(make_camera, poi
         assert_matches(block[2], expected, slack=10.0)
 
 
-def test_entries_that_are_not_valid_are_finite(view):
-    camera, points = view("water")
+def test_points_on_land_do_not_feel_the_interface(draw, lens):
+    camera, points = scene(draw, lens, "glass wall", "land")
+
+    blocks = camera.project_with_jacobians(points)[1]
+
+    for block in (blocks.indices, blocks.plane_tilt, blocks.plane_height):
+        assert torch.equal(block, torch.zeros_like(block))
+    assert_matches(blocks.center, -blocks.point)
+
+
+def test_a_layer_that_the_light_does_not_reach_has_no_part_in_the_pixel(draw, lens):
+    camera, points = scene(draw, lens, "into thick glass", "ordinary")
+
+    indices = camera.project_with_jacobians(points)[1].indices
+
+    assert (indices[..., 0] != 0).all()
+    assert torch.equal(indices[..., 1], torch.zeros_like(indices[..., 1]))
+
+
+@for_every_interface
+def test_camera_plane_and_point_that_move_together_leave_the_image_as_it_is(draw, lens, name):
+    camera, points = scene(draw, lens, name, "ordinary")
+
+    blocks = camera.project_with_jacobians(points)[1]
+
+    normal = camera.interface.plane.normal_like(points)
+    moved = torch.zeros_like(blocks.plane_height)
+    if not camera.interface.moves_with_camera:
+        moved = blocks.plane_height
+    together = blocks.center + blocks.point + moved[..., None] * normal.expand(COUNT, 3)[:, None]
+    size = blocks.point.abs().amax()
+    assert_matches(together / size, torch.zeros_like(together), slack=10.0)
+
+
+@pytest.mark.parametrize("name", ["water", "glass wall", "looking out", "tilted port", "each camera its own"])
+def test_entries_that_are_not_valid_are_finite(draw, lens, name):
+    camera, points = scene(draw, lens, name, "ordinary")
+    normal = camera.plane_in_world().normal_like(points)
     points[:3] = 2.0 * camera.center_in_world[:3] - points[:3]  # behind the camera
     points[2] = camera.center_in_world[2]
+    if camera.interface.moves_with_camera:
+        points[3:] = 2.0 * camera.center_in_world[3:] - points[3:]
     center = camera.center_in_world.clone()
-    center[3:, 2] *= -1.0
+    center[3:] -= 10.0 * normal.expand(COUNT, 3)[3:]  # on the wrong side, but for the port
+    sunk = replace(camera, center_in_world=center, check=False)
 
-    pixels, jacobians, valid = replace(camera, center_in_world=center).project_with_jacobians(points)
+    pixels, jacobians, valid = sunk.project_with_jacobians(points)
 
-    assert not valid.any()
+    assert not valid[:3].any()
+    assert camera.interface.moves_with_camera or not valid.any()
     assert pixels.isfinite().all()
     assert all(block.isfinite().all() for block in jacobians)
 
 
 def test_gradients_of_valid_points_survive_beside_points_that_are_not(view):
-    camera, points = view("water")
+    camera, points = view("ordinary")
     points[0] = 2.0 * camera.center_in_world[0] - points[0]
     points[1] = camera.center_in_world[1]
     points.requires_grad_()
@@ -112,16 +219,39 @@ def test_gradients_of_valid_points_survive_beside_points_that_are_not(view):
     assert (points.grad[2:] != 0).all()
 
 
+def _assert_jacobians_of_autograd(camera, points, slack):
+    project, parameters = _by_parameters(camera, points)
+    pixels = project(*parameters)
+    assert camera.project(points)[1].all()
+
+    jacobians = camera.project_with_jacobians(points)[1]
+
+    for axis in range(2):
+        gradients = torch.autograd.grad(pixels[:, axis].sum(), parameters, retain_graph=True)
+        for name, block, gradient in zip(ProjectionJacobians._fields, jacobians, gradients, strict=True):
+            size = gradient.abs().amax().clamp(min=1.0)
+            assert block.shape == (COUNT, 2, *gradient.shape[1:]), name
+            assert_matches(block[:, axis] / size, gradient / size, slack=slack)
+
+
 def _by_parameters(camera, points):
     """The projection as a function of what `ProjectionJacobians` differentiates in, and where it is evaluated."""
+    lens, interface = camera.intrinsics, camera.interface
+    first, *others = (torch.as_tensor(index, dtype=torch.float64).expand(COUNT) for index in interface.indices)
+    plane = Plane(interface.plane.normal_like(points), interface.plane.offset)
 
     def project(*parameters):
-        turn, center, point, focal, principal_point, distortion, index_ratio = parameters
-        lens = replace(camera.intrinsics, focal=focal, principal_point=principal_point, distortion=distortion)
+        turn, center, point, focal, principal_point, distortion, indices, tilt, height = parameters
+        if interface.layers is None:
+            media = replace(interface, index_ratio=indices[..., 0], plane=plane.moved(tilt, height))
+        else:
+            thrice = 3.0 * first  # only ratios matter
+            layers = (thrice, *(thrice * index for index in indices.unbind(dim=-1)))
+            media = replace(interface, index_ratio=None, layers=layers, plane=plane.moved(tilt, height))
+        eye = replace(lens, focal=focal, principal_point=principal_point, distortion=distortion)
         rotation = so3_exp(turn) @ camera.cam_from_world_rotation
-        return RefractiveCamera(lens, rotation, center, FlatInterface(index_ratio)).project(point)[0]
+        return RefractiveCamera(eye, rotation, center, media).project(point)[0]
 
-    lens = camera.intrinsics
     values = (
         torch.zeros(3, dtype=torch.float64),
         camera.center_in_world,
@@ -129,12 +259,24 @@ def _by_parameters(camera, points):
         lens.focal,
         lens.principal_point,
         lens.distortion,
-        camera.interface.index_like(points),
+        torch.stack([index / first for index in others], dim=-1),
+        torch.zeros(2, dtype=torch.float64),
+        torch.zeros((), dtype=torch.float64),
     )
-    sizes = ((3,), (3,), (3,), (2,), (2,), (5,), ())
+    sizes = ((3,), (3,), (3,), (2,), (2,), (5,), (len(others),), (2,), ())
     return project, [
         value.expand(COUNT, *size).clone().requires_grad_() for value, size in zip(values, sizes, strict=True)
     ]
+
+
+def _lacks_refraction(name):
+    """There a step in the index may make it less than 1."""
+    return not INTERFACES[name].refracts().all()
+
+
+def _change(block, by):
+    """Change (*B, 2) of the pixels by a step in the parameter of that block."""
+    return (block.reshape(COUNT, 2, -1) @ by.reshape(COUNT, -1, 1))[..., 0]
 
 
 def _grazing(camera):

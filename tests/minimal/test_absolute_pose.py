@@ -9,10 +9,9 @@ from scipy.optimize import minimize_scalar
 
 from torchrefrac.geometry import heading_rotation
 from torchrefrac.minimal import absolute_pose_2pt, absolute_pose_lsqi
-from torchrefrac.refraction import lift_points
+from torchrefrac.refraction import FlatInterface, lift_points
 
 WATER = 1.33
-INDEX = torch.tensor(WATER, dtype=torch.float64)
 
 
 @pytest.fixture
@@ -43,7 +42,7 @@ def test_every_valid_candidate_sees_both_points_along_their_rays(make_view, land
     heading, center, valid = absolute_pose_2pt(rays, points, WATER)
 
     assert valid[:, 1].any()
-    offset, _ = lift_points(center[:, :, None], points[:, None], INDEX)
+    offset, _ = lift_points(center[:, :, None], points[:, None], FlatInterface(WATER))
     seen = offset @ heading_rotation(heading).mT
     slope, expected = (v[..., :2] / v[..., 2:] for v in (seen, rays[:, None]))
     error = (slope - expected).norm(dim=-1).amax(dim=-1) / expected.norm(dim=-1).amax(dim=-1).clamp(min=1.0)

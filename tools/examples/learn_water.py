@@ -100,7 +100,8 @@ def _blurred(images: Tensor, sigma: float) -> Tensor:
 
 
 def _report(stage: str, model: tr.LearnableCamera) -> None:
-    interface = model.camera.interface
+    with torch.no_grad():
+        interface = model.camera.interface
     level = torch.as_tensor(interface.plane.offset)
     print(f"{stage:<17} index ratio {float(interface.index_like(level)):.4f}   water level {float(level):+.3f} cm")
 

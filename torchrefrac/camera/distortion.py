@@ -37,8 +37,8 @@ def distort_with_jacobians(xy: Tensor, coefficients: Tensor) -> tuple[Tensor, Te
     k = coefficients.unbind(dim=-1)
     slopes = distortion_slopes(x, y, k)
     u, v = slopes.u, slopes.v
-    by_xy = torch.stack((slopes.du_dx, slopes.mixed, slopes.mixed, slopes.dv_dy), dim=-1).reshape(*u.shape, 2, 2)
-    by_k = torch.stack((torch.stack(slopes.by_u, dim=-1), torch.stack(slopes.by_v, dim=-1)), dim=-2)
+    by_xy = torch.stack((slopes.du_dx, slopes.mixed, slopes.mixed, slopes.dv_dy), dim=-1).unflatten(-1, (2, 2))
+    by_k = torch.stack(torch.broadcast_tensors(u, *slopes.by_u, *slopes.by_v)[1:], dim=-1).unflatten(-1, (2, 5))
     return torch.stack((u, v), dim=-1), by_xy, by_k
 
 

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera.refractive import RefractiveCamera
-from torchrefrac.checks import at_least_single, require, require_ending
+from torchrefrac.checks import at_least_single, require, require_ending, require_floating
 
 
 def remove_refraction(
@@ -26,16 +26,22 @@ def remove_refraction(
         raise ValueError(f"image has shape {tuple(image.shape)}, but must be (channels, height, width)")
     if camera.shape:
         raise ValueError(f"camera has batch shape {tuple(camera.shape)}, but must be a single one")
+    require_floating(image, "image")
     require(depth, "depth", above=0.0)
     view = camera.as_pinhole() if target is None else target
+    if view.shape:
+        raise ValueError(f"target has batch shape {tuple(view.shape)}, but must be a single camera")
+    size = (view.intrinsics.height, view.intrinsics.width)
+    if isinstance(depth, Tensor) and depth.dim() and depth.shape != size:
+        raise ValueError(f"depth has shape {tuple(depth.shape)}, but must be a number or a map of the target's {size}")
     points, met = _points_at_depth(view, camera, depth)
     pixels, seen = camera.project(points, inside_image=True)
     image = at_least_single(image)
-    size = pixels.new_tensor((camera.intrinsics.width, camera.intrinsics.height))
-    normalized = (2.0 * pixels / size - 1.0).to(image.dtype)
+    x, y = pixels.unbind(dim=-1)
+    grid = torch.stack((2.0 * x / camera.intrinsics.width - 1.0, 2.0 * y / camera.intrinsics.height - 1.0), dim=-1)
     mask = met & seen
     resampled = torch.nn.functional.grid_sample(
-        image[None], normalized[None], mode="bilinear", padding_mode="border", align_corners=False
+        image[None], grid[None].to(image.dtype), mode="bilinear", padding_mode="border", align_corners=False
     )[0]
     return torch.where(mask, resampled, 0.0), mask
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera.distortion import distort, undistort
-from torchrefrac.checks import require_broadcasting, require_ending
+from torchrefrac.checks import at_least_single, require_broadcasting, require_ending
 from torchrefrac.numerics import pick
 
 
@@ -32,6 +32,8 @@ class Intrinsics:
         require_ending(self.focal, "focal", (2,))
         require_ending(self.principal_point, "principal_point", (2,))
         require_ending(self.distortion, "distortion", (5,))
+        for name in ("focal", "principal_point", "distortion"):
+            object.__setattr__(self, name, at_least_single(getattr(self, name)))
 
     @classmethod
     def create(
@@ -64,7 +66,10 @@ class Intrinsics:
 
     def pixel_grid(self, height: int | None = None, width: int | None = None) -> Tensor:
         """Centres (height, width, 2) of pixels of equal size that cover the image; by default its own pixels."""
-        rows, columns = height or self.height, width or self.width
+        rows = self.height if height is None else height
+        columns = self.width if width is None else width
+        if min(rows, columns) < 1:
+            raise ValueError(f"height and width are {rows} and {columns}, but must be at least 1")
         y, x = (
             (torch.arange(count, dtype=self.focal.dtype, device=self.focal.device) + 0.5) * (size / count)
             for count, size in ((rows, self.height), (columns, self.width))
@@ -73,8 +78,8 @@ class Intrinsics:
 
     def contains(self, pixels: Tensor) -> Tensor:
         """Mask (*B) of pixels inside the image."""
-        size = pixels.new_tensor((self.width, self.height))
-        return ((pixels >= 0) & (pixels <= size)).all(dim=-1)
+        x, y = pixels.unbind(dim=-1)
+        return (x >= 0) & (x <= self.width) & (y >= 0) & (y <= self.height)
 
     @property
     def shape(self) -> torch.Size:

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from torchrefrac.camera.refractive import RefractiveCamera
+from torchrefrac.checks import at_least_single
 from torchrefrac.geometry import rotate, so3_exp
 
 LEARNABLE = ("index_ratio", "plane_tilt", "plane_height", "rotation", "center")
@@ -18,7 +19,8 @@ class LearnableCamera(nn.Module):
     Parameters are changes from the camera given, all zero at the start: `index_ratio` (), log of the factor of
     index ratio - 1; `plane_tilt` (2), radians, and `plane_height` (), the unit of the scene, as in `Plane.moved`;
     `rotation` (*B, 3), left perturbation in radians, and `center` (*B, 3) for each camera. Those named in `learn` are
-    trained. The index ratio stays above 1 whatever the optimiser does.
+    trained. The index ratio never falls below 1. Learn from points that lie inside the images: outside them a distorted
+    lens may lead astray.
 
     Height and centre have the unit of the scene, the others none: give them learning rates of their own where that
     unit is far from the size of the scene. Raises ValueError for a name that is not known, and for an index ratio to
@@ -33,6 +35,7 @@ class LearnableCamera(nn.Module):
 
     def __init__(self, camera: RefractiveCamera, learn: Collection[str] = ("index_ratio", "plane_height")) -> None:
         super().__init__()
+        learn = (learn,) if isinstance(learn, str) else learn
         unknown = sorted(set(learn) - set(LEARNABLE))
         if unknown:
             raise ValueError(f"learn names {', '.join(unknown)}, but must be some of {', '.join(LEARNABLE)}")
@@ -57,16 +60,19 @@ class LearnableCamera(nn.Module):
     @property
     def camera(self) -> RefractiveCamera:
         """The camera as learnt so far, differentiable in the parameters."""
-        start = self._start.to(dtype=self.center.dtype, device=self.center.device)
-        interface = replace(start.interface, plane=start.interface.plane.moved(self.plane_tilt, self.plane_height))
+        shift, turn, tilt, height, growth = (
+            at_least_single(p)
+            for p in (self.center, self.rotation, self.plane_tilt, self.plane_height, self.index_ratio)
+        )
+        start = self._start.to(dtype=shift.dtype, device=shift.device)
+        interface = replace(start.interface, plane=start.interface.plane.moved(tilt, height))
         if interface.layers is None:
-            index_ratio = 1.0 + (interface.index_like(self.center) - 1.0) * self.index_ratio.exp()
-            interface = interface.with_index_ratio(index_ratio)
-        rotation = so3_exp(self.rotation)
+            interface = interface.with_index_ratio(1.0 + (interface.index_like(shift) - 1.0) * growth.exp())
+        rotation = so3_exp(turn)
         turned = torch.stack(
             [rotate(rotation, column) for column in start.cam_from_world_rotation.unbind(dim=-1)], dim=-1
         )
-        return RefractiveCamera(start.intrinsics, turned, start.center_in_world + self.center, interface, check=False)
+        return RefractiveCamera(start.intrinsics, turned, start.center_in_world + shift, interface, check=False)
 
     def forward(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
         """`RefractiveCamera.project`."""

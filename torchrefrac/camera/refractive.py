@@ -58,6 +58,8 @@ class RefractiveCamera:
         What is not batched, but shared by all cameras (intrinsics, interface), stays shared.
         """
         batch = self.shape
+        if not batch:
+            _ = torch.zeros(())[index]  # a single camera has no numbers: IndexError
         return RefractiveCamera(
             self.intrinsics.indexed(index, batch),
             pick(self.cam_from_world_rotation, index, batch, 2),
@@ -94,7 +96,7 @@ class RefractiveCamera:
         Exact (Chang & Chen, Eq. 21, for one water surface); differentiable in the points, the pose, the intrinsics and
         all of the interface. Points on the camera's side are seen straight: land and water in one call. Not valid: a
         point behind the camera, a camera on the wrong side of its interface; with `inside_image` what lies outside the
-        image; with `beyond_only` points on the camera's side. What is not valid is finite.
+        image; with `beyond_only` points on the camera's side. Finite points have finite pixels, valid or not.
         """
         points = self._checked(points_in_world, "points_in_world", 3)
         pixels, valid, beyond = project(
@@ -137,11 +139,13 @@ class RefractiveCamera:
 
     def view_directions(self, pixels: Tensor) -> Tensor:
         """Unit viewing directions in the camera's medium, in the world frame: (*B, 2) -> (*B, 3)."""
+        pixels = self._checked(pixels, "pixels", 2)
         return rotate(self.cam_from_world_rotation.mT, self._directions_in_cam(pixels))
 
     def as_pinhole(self) -> "RefractiveCamera":
         """The same camera without an interface: what every ordinary reconstruction takes it for."""
-        return replace(self, interface=FlatInterface(1.0), check=False)
+        center = self.center_in_world.expand((*self.shape, 3))
+        return replace(self, center_in_world=center, interface=FlatInterface(1.0), check=False)
 
     def apparent_points(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
         """Where points (*B, 3) appear to be, in the world frame (*B, 3): lifted along the normal; and the mask (*B)."""
@@ -180,28 +184,40 @@ class RefractiveCamera:
 
     def _offsets(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Apparent offsets in the interface's frame."""
-        if not self.interface.moves_with_camera:
-            return lift_points(self.center_in_world, points, self.interface)
-        in_cam = rotate(self.cam_from_world_rotation, points - self.center_in_world)
-        return lift_points(torch.zeros_like(self.center_in_world), in_cam, self.interface)
+        center = self.center_in_world
+        if self.interface.moves_with_camera:
+            points = rotate(self.cam_from_world_rotation, points - center)
+            center = torch.zeros_like(center)
+        offset, valid = lift_points(center, points, self.interface)
+        batch = torch.broadcast_shapes(self.shape, valid.shape)
+        return offset.expand((*batch, 3)), valid.expand(batch)
 
     def _directions_in_cam(self, pixels: Tensor) -> Tensor:
         xy = self.intrinsics.plane_from_pixels(pixels)
         return torch.nn.functional.normalize(torch.cat((xy, torch.ones_like(xy[..., :1])), dim=-1), dim=-1)
 
     def _checked(self, value: Tensor, name: str, components: int) -> Tensor:
-        """Of at least single precision and a shape that broadcasts against the cameras."""
+        """Of a shape that broadcasts against the cameras, in the dtype that holds both."""
         require_ending(value, name, (components,))
         require_broadcasting(**{name: value.shape[:-1], "camera": self.shape})
-        return at_least_single(value)
+        dtype = value.dtype
+        for tensor in (self.center_in_world, self.cam_from_world_rotation, self.intrinsics.focal):
+            dtype = torch.promote_types(dtype, tensor.dtype)
+        return value.to(dtype)
 
     def _require_on_its_side(self) -> None:
-        if self.interface.moves_with_camera:
-            height = self.interface.plane.signed_distance(torch.zeros_like(self.center_in_world))
-        else:
-            height = self.interface.plane.signed_distance(self.center_in_world)
-        if not holds_everywhere((height > 0) | ~self.interface.refracts().to(height.device)):
+        moves = self.interface.moves_with_camera
+        origin = torch.zeros_like(self.center_in_world) if moves else self.center_in_world
+        height = self.interface.plane.signed_distance(origin)
+        wrong = (height <= 0) & self.interface.refracts().to(height.device)
+        if holds_everywhere(~wrong):
+            return
+        depth = abs(float(unwrapped(torch.where(wrong, height, 0.0)).min()))
+        if moves:
             raise ValueError(
-                f"center_in_world is {-float(unwrapped(height).min()):g} behind the interface somewhere, "
-                "but must be on the side that its normal points to (above a water surface)"
+                f"interface.plane lies {depth:g} behind the camera, but must lie ahead, its normal towards it"
             )
+        raise ValueError(
+            f"center_in_world is {depth:g} behind the interface somewhere, but must be on the side that its normal "
+            "points to (above a water surface)"
+        )

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from typing import Any
 
 import torch
@@ -19,13 +19,17 @@ class Plane:
 
     normal (*B, 3), any length but zero: it is scaled to one; offset (*B), along the unit normal, in the unit of the
     points. Both may be plain numbers. The default is the plane z = 0 with z positive. Raises ValueError for a normal
-    that is zero, not finite or not of three components, and for an offset that is not finite.
+    that is zero, not finite or not of three components, and for an offset that is not finite. check=False takes a unit
+    normal and the offset as they are.
     """
 
     normal: Tensor | Sequence[float] = (0.0, 0.0, 1.0)
     offset: Tensor | float = 0.0
+    check: InitVar[bool] = True
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, check: bool) -> None:
+        if not check:
+            return
         require(self.offset, "offset")
         if isinstance(self.normal, Tensor):
             normal = at_least_single(self.normal)
@@ -96,7 +100,7 @@ class Plane:
 
     def indexed(self, index: Any, batch: Sequence[int]) -> "Plane":
         """Those of some elements of a batch."""
-        return Plane(pick(self.normal, index, batch, 1), pick(self.offset, index, batch))
+        return Plane(pick(self.normal, index, batch, 1), pick(self.offset, index, batch), check=False)
 
     def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "Plane":
         """The same in another dtype or on another device; numbers fit any."""
@@ -104,4 +108,5 @@ class Plane:
         return Plane(
             normal.to(dtype=dtype, device=device) if isinstance(normal, Tensor) else normal,
             offset.to(dtype=dtype, device=device) if isinstance(offset, Tensor) else offset,
+            check=False,
         )

@@ -1,7 +1,7 @@
 """The flat layers between camera and scene."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, replace
 from typing import Any
 
 import torch
@@ -36,7 +36,8 @@ class FlatInterface:
 
     moves_with_camera: the plane is fixed to the camera and given in its frame (x right, y down, z forward), as for a
     flat port. Each value is a number or a tensor (*B) that broadcasts against the camera's batch. Raises ValueError,
-    naming the argument, for an index below 1, a negative thickness, or values that are not finite.
+    naming the argument, for an index below 1, a negative thickness, or values that are not finite. check=False is for
+    copies of what has been checked.
     """
 
     index_ratio: Number | None = None
@@ -44,8 +45,11 @@ class FlatInterface:
     thickness: Sequence[Number] | Tensor = ()
     plane: Plane = field(default_factory=_water_level)
     moves_with_camera: bool = False
+    check: InitVar[bool] = True
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, check: bool) -> None:
+        if not check:
+            return
         layers = None if self.layers is None else _tuple_of(self.layers)
         if layers is None:
             index_ratio = FRESH_WATER if self.index_ratio is None else self.index_ratio
@@ -107,7 +111,7 @@ class FlatInterface:
     def is_absent(self) -> bool:
         """Whether it is known without a look at tensors that there is nothing to refract."""
         first = self.indices[0]
-        return isinstance(first, float) and all(isinstance(n, float | int) and n == first for n in self.indices)
+        return isinstance(first, float | int) and all(isinstance(n, float | int) and n == first for n in self.indices)
 
     @property
     def camera_in_rarest(self) -> bool:
@@ -162,12 +166,13 @@ class FlatInterface:
         return self._with_each(moved, self.plane.to(dtype=dtype, device=device))
 
     def _with_each(self, change: Callable[[Any], Any], plane: Plane) -> "FlatInterface":
-        return replace(
-            self,
-            index_ratio=change(self.index_ratio) if self.layers is None else None,
+        return FlatInterface(
+            index_ratio=change(self.index_ratio),
             layers=None if self.layers is None else tuple(change(n) for n in self.indices),
             thickness=tuple(change(d) for d in self.thickness),
             plane=plane,
+            moves_with_camera=self.moves_with_camera,
+            check=False,
         )
 
 
