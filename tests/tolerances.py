@@ -17,8 +17,8 @@ class Tolerance:
 
 
 TOLERANCE = {
-    torch.float64: Tolerance(rounding=1e-13, solve=2e-13, pixel=1e-9),
-    torch.float32: Tolerance(rounding=2e-5, solve=1e-4, pixel=5e-3),
+    torch.float64: Tolerance(rounding=1e-13, solve=1e-13, pixel=1e-9),
+    torch.float32: Tolerance(rounding=2e-5, solve=1e-5, pixel=5e-3),
 }
 DTYPES = tuple(TOLERANCE)
 EXACT = TOLERANCE[torch.float64]

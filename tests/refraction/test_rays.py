@@ -4,10 +4,10 @@ import pytest
 import torch
 from tolerances import DTYPES, assert_matches
 
-from torchrefrac.refraction import refract_rays
+from torchrefrac.refraction import FlatInterface, refract_rays
 
-WATER = torch.tensor(1.333, dtype=torch.float64)
-AIR = torch.tensor(1.0, dtype=torch.float64)
+WATER = FlatInterface(torch.tensor(1.333, dtype=torch.float64))
+AIR = FlatInterface(torch.tensor(1.0, dtype=torch.float64))
 
 
 def test_the_refrax_is_where_the_viewing_ray_meets_the_surface(draw):
@@ -25,7 +25,7 @@ def test_the_ray_bends_by_snells_law_in_vector_form(draw):
     center, direction = _downward(draw, 200)
     index = draw.uniform(1.0, 2.5, 200)
 
-    _, bent, _ = refract_rays(center, direction, index)
+    _, bent, _ = refract_rays(center, direction, FlatInterface(index))
 
     unit, up = torch.nn.functional.normalize(direction, dim=-1), direction.new_tensor((0.0, 0.0, 1.0))
     cosine, r = -unit[:, 2:], 1.0 / index[:, None]
@@ -37,7 +37,7 @@ def test_the_ray_bends_by_snells_law_in_vector_form(draw):
 def test_the_direction_in_the_water_has_length_one(draw, dtype):
     center, direction = (value.to(dtype) for value in _downward(draw, 2, 100))
 
-    _, bent, _ = refract_rays(center, direction, WATER.to(dtype))
+    _, bent, _ = refract_rays(center, direction, WATER.to(dtype=dtype))
 
     assert_matches(bent.norm(dim=-1), torch.ones(2, 100, dtype=dtype))
 
@@ -80,20 +80,21 @@ def test_centres_directions_and_index_ratios_broadcast(draw):
     center, direction = _downward(draw, 4)
     index = draw.uniform(1.1, 1.5, 2, 1, 1)
 
-    refrax, bent, valid = refract_rays(center[:3, None], direction, index)
+    refrax, bent, valid = refract_rays(center[:3, None], direction, FlatInterface(index))
 
     assert refrax.shape == bent.shape == (2, 3, 4, 3)
     assert valid.shape == (2, 3, 4)
-    for grid, alone in zip((refrax, bent), refract_rays(center[2], direction[3], index[1, 0, 0])[:2], strict=True):
+    one = FlatInterface(index[1, 0, 0])
+    for grid, alone in zip((refrax, bent), refract_rays(center[2], direction[3], one)[:2], strict=True):
         assert_matches(grid[1, 2, 3], alone)
 
 
-@pytest.mark.parametrize("index", [AIR, WATER], ids=["air", "water"])
-def test_gradients_stay_finite_where_a_ray_is_level(index):
+@pytest.mark.parametrize("interface", [AIR, WATER], ids=["air", "water"])
+def test_gradients_stay_finite_where_a_ray_is_level(interface):
     center = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64, requires_grad=True)
     direction = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64, requires_grad=True)
 
-    refrax, bent, _ = refract_rays(center, direction, index)
+    refrax, bent, _ = refract_rays(center, direction, interface)
     (refrax.sum() + bent.sum()).backward()
 
     assert center.grad.isfinite().all()
@@ -105,7 +106,10 @@ def test_rays_are_differentiable_in_centre_direction_and_index_ratio(draw):
     direction[0] = direction.new_tensor((0.0, 0.0, -1.0))
     inputs = [value.requires_grad_() for value in (center, direction, draw.uniform(1.1, 1.5, 3))]
 
-    assert torch.autograd.gradcheck(lambda *x: refract_rays(*x)[:2], inputs)
+    def refract(center, direction, index):
+        return refract_rays(center, direction, FlatInterface(index))[:2]
+
+    assert torch.autograd.gradcheck(refract, inputs, check_forward_ad=True)
 
 
 def _downward(draw, *shape):

@@ -24,22 +24,25 @@ at_every_place = pytest.mark.parametrize("place", PLACES.values(), ids=PLACES.ke
 @at_every_place
 @pytest.mark.parametrize("method", ["halley", "newton"])
 def test_apparent_height_has_the_right_first_derivatives(place, method):
-    assert torch.autograd.gradcheck(lambda *x: apparent_height(*x, method), _with_squared_distance(place))
+    inputs = _with_squared_distance(place)
+
+    assert torch.autograd.gradcheck(lambda *x: _of_one_surface(*x, method), inputs, check_forward_ad=True)
 
 
 @at_every_place
 def test_apparent_height_has_the_right_second_derivatives(place):
-    assert torch.autograd.gradgradcheck(apparent_height, _with_squared_distance(place))
+    assert torch.autograd.gradgradcheck(_of_one_surface, _with_squared_distance(place))
 
 
 @at_every_place
 def test_partials_in_closed_form_are_those_of_autograd(place):
-    inputs = _with_squared_distance(place)
-    apparent = apparent_height(*inputs)
+    inputs = distance_sq, height, depth, index = _with_squared_distance(place)
+    apparent = _of_one_surface(*inputs)
 
-    partials = apparent_height_partials(apparent, *inputs)
+    partials = apparent_height_partials(apparent, distance_sq, height, (depth,), (index,))
 
-    for partial, gradient in zip(partials, torch.autograd.grad(apparent, inputs), strict=True):
+    in_closed_form = (partials.by_distance_sq, partials.by_clear, *partials.by_thickness, *partials.by_index)
+    for partial, gradient in zip(in_closed_form, torch.autograd.grad(apparent, inputs), strict=True):
         assert_matches(partial, gradient)
 
 
@@ -96,18 +99,22 @@ def test_gradients_are_finite_and_exact_in_single_precision_at_nadir():
 
 
 def test_apparent_height_and_its_gradient_run_under_vmap(draw):
-    inputs = [draw.uniform(low, high, 5, 4) for low, high in ((1.0, 2.0), (0.0, 2.0), (0.0, 9.0), (1.0, 1.5))]
+    inputs = [draw.uniform(low, high, 5, 4) for low, high in ((0.0, 9.0), (1.0, 2.0), (0.0, 2.0), (1.0, 1.5))]
     for value in inputs:
         value.requires_grad_()
-    batched = apparent_height(*inputs)
+    batched = _of_one_surface(*inputs)
 
-    assert_matches(torch.func.vmap(apparent_height)(*inputs), batched)
-    by_element = torch.func.grad(apparent_height, argnums=(0, 1, 2, 3))
+    assert_matches(torch.func.vmap(_of_one_surface)(*inputs), batched)
+    by_element = torch.func.grad(_of_one_surface, argnums=(0, 1, 2, 3))
     gradients = torch.func.vmap(torch.func.vmap(by_element))(*inputs)
     for gradient, expected in zip(gradients, torch.autograd.grad(batched.sum(), inputs), strict=True):
         assert_matches(gradient, expected)
 
 
+def _of_one_surface(distance_sq, height, depth, index, method="halley"):
+    return apparent_height(distance_sq, height, (depth,), (index,), method)
+
+
 def _with_squared_distance(place):
     height, depth, distance, index = place
-    return [torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (height, depth, distance**2, index)]
+    return [torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (distance**2, height, depth, index)]

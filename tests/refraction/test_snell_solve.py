@@ -1,30 +1,43 @@
-"""The refrax ratio: against constructed truth, against slow oracles, and the laws that it obeys.
+"""The refrax ratio: against the exact root, against slow oracles, and the laws that it obeys.
 
-A case is (height, depth, distance, index_ratio). The truth is constructed: choose the tangent of the angle of
-incidence, then add up the horizontal way in air and in water to the distance.
+A case is (height, depth, distance, index_ratio). It is constructed: choose the tangent of the angle of incidence, then
+add up the horizontal way in air and in water to the distance. That gives its refrax ratio but for the rounding of the
+case, which costs digits near grazing; to the last digit it is the root of the rounded numbers in extended precision.
 """
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from scipy.optimize import brentq
 from tolerances import DTYPES, EXACT, TOLERANCE, assert_matches
 
 from torchrefrac.refraction import solve_refrax
-from torchrefrac.refraction.iterations import lower_bound
+from torchrefrac.refraction.iterations import Equation, lower_bound
 
 METHODS = ["halley", "newton", "companion"]
 
 
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_the_refrax_ratio_is_exact_over_six_decades_of_depth_and_up_to_grazing_rays(draw, dtype):
+    case = _many_cases(draw, dtype)
+
+    exact = _in_extended_precision(*case)
+
+    for method in ("halley", "newton"):
+        error = np.abs(_extended(solve_refrax(*case, method=method)) - exact) / exact
+        assert float(error.max()) < TOLERANCE[dtype].solve
+
+
 @pytest.mark.parametrize("nearly_one", [False, True], ids=["any index ratio", "index ratio nearly 1"])
 @pytest.mark.parametrize("method", ["halley", "newton"])
-def test_constructed_truth_is_met_over_three_decades_of_depth_and_up_to_grazing_rays(draw, method, nearly_one):
+def test_constructed_truth_is_met_as_far_as_the_rounding_of_the_case_allows(draw, method, nearly_one):
     case, truth = _cases(draw, 20_000, nearly_one=nearly_one)
 
     ratio = solve_refrax(*case, method=method)
 
-    assert ((ratio - truth) / truth).abs().max() < EXACT.solve
+    assert ((ratio - truth) / truth).abs().max() < 2.0 * EXACT.solve
 
 
 def test_bracketed_root_of_the_horizontal_offset_is_the_same(draw):
@@ -33,7 +46,7 @@ def test_bracketed_root_of_the_horizontal_offset_is_the_same(draw):
     ratio = solve_refrax(*case)
 
     oracle = [_refrax_by_bracketing(*numbers) for numbers in torch.stack(case, dim=-1).tolist()]
-    torch.testing.assert_close(ratio, torch.tensor(oracle, dtype=torch.float64), rtol=EXACT.solve, atol=0.0)
+    torch.testing.assert_close(ratio, torch.tensor(oracle, dtype=torch.float64), rtol=2.0 * EXACT.solve, atol=0.0)
 
 
 def test_the_quartic_of_the_paper_has_the_same_root(draw):
@@ -53,7 +66,6 @@ def test_single_precision_is_as_good_as_the_conditioning_of_the_problem(draw, me
     error = ((solve_refrax(*case, method=method) - exact) / exact).abs()
 
     assert (error / condition).max() < 4.0 * torch.finfo(torch.float32).eps
-    assert error.max() < TOLERANCE[torch.float32].solve
 
 
 @pytest.mark.parametrize("method", ["halley", "newton"])
@@ -69,7 +81,7 @@ def test_every_start_is_a_lower_bound_so_that_newton_climbs_monotonically(draw):
     (height, depth, distance, index), truth = _cases(draw, 20_000)
     root = truth / height
 
-    start = lower_bound(distance.square(), height, (depth,), (index,))
+    start = lower_bound(Equation(distance.square(), height, (depth,), (index,)))
 
     assert (start > 0).all()
     assert (start <= root * (1.0 + 4.0 * torch.finfo(torch.float64).eps)).all()
@@ -154,6 +166,38 @@ def _cases(draw, count, *, decades=3.0, max_deg=89.9, max_index=2.5, nearly_one=
     in_water = depth * tangent / (index.square() + (index - 1.0) * (index + 1.0) * tangent.square()).sqrt()
     distance = in_air + in_water
     return (height, depth, distance, index), in_air / distance
+
+
+def _many_cases(draw, dtype):
+    """240 000 cases, rounded to `dtype`: index ratios from 1 on, evenly or on a logarithmic scale; angles up to 89.9
+    degrees, evenly or with their tangent on a logarithmic scale."""
+    height = draw.power_of_ten(-1.0, 1.0, 2, 2, 60_000)
+    depth = height * draw.power_of_ten(-3.0, 3.0, 2, 2, 60_000)
+    even, nearly_one = draw.uniform(0.0, 1.5, 2, 60_000), 1.5 * draw.power_of_ten(-16.0, 0.0, 2, 60_000)
+    index = 1.0 + torch.stack((even, nearly_one), dim=1)
+    steepest = math.radians(89.9)
+    by_angle = draw.uniform(0.0, steepest, 2, 60_000).tan()
+    by_tangent = math.tan(steepest) * draw.power_of_ten(-5.0, 0.0, 2, 60_000)
+    tangent = torch.stack((by_angle, by_tangent))
+    in_water = depth * tangent / (index.square() + (index - 1.0) * (index + 1.0) * tangent.square()).sqrt()
+    return tuple(value.flatten().to(dtype) for value in (height, depth, height * tangent + in_water, index))
+
+
+def _in_extended_precision(height, depth, distance, index):
+    """Newton from a lower bound on s = ratio / height, which climbs to s (h + d w) = 1 and stays."""
+    h, d, a, n = map(_extended, (height, depth, distance, index))
+    n_sq, excess = n * n, (n - 1.0) * (n + 1.0) * a * a
+    with np.errstate(divide="ignore"):
+        grazing = (1.0 - d / np.sqrt(excess)) / h
+    s = np.maximum(1.0 / (h + d / n), np.where(excess > 0.0, grazing, 0.0))
+    for _ in range(25):
+        w = 1.0 / np.sqrt(n_sq + excess * s * s)
+        s = s - (s * (h + d * w) - 1.0) / (h + d * n_sq * w**3)
+    return s * h
+
+
+def _extended(value):
+    return value.numpy().astype(np.longdouble)
 
 
 def _refrax_by_bracketing(height, depth, distance, index):

@@ -18,7 +18,7 @@ from torchrefrac.camera.intrinsics import Intrinsics
 from torchrefrac.camera.projection import MIN_DEPTH, View, in_camera, operands, view_of
 from torchrefrac.geometry import triples
 from torchrefrac.geometry.triples import Triple
-from torchrefrac.numerics import in_blocks
+from torchrefrac.numerics import in_blocks, in_double
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.refraction.lift import Lift, Sight, is_valid, solve_height_with_partials
 
@@ -65,7 +65,8 @@ def project_with_jacobians(
 
     tensors, event_dims = operands(intrinsics, rotation, center, points, interface)
     tangents = interface.plane.tangents_like(points)
-    results = in_blocks(block, [*tangents, *tensors], [1, 1, *event_dims], RESULT_DIMS)
+    compute = block if interface.layers is None else in_double(block)
+    results = in_blocks(compute, [*tangents, *tensors], [1, 1, *event_dims], RESULT_DIMS)
     pixels, valid, by_rotation, by_center, by_point, by_focal, by_distortion, by_indices, by_tilt, by_height = results
     by_principal_point = torch.eye(2, dtype=pixels.dtype, device=pixels.device).expand((*valid.shape, 2, 2))
     return (

@@ -10,7 +10,7 @@ from torchrefrac.camera.distortion import distort_components
 from torchrefrac.camera.intrinsics import Intrinsics
 from torchrefrac.geometry import triples
 from torchrefrac.geometry.triples import Triple
-from torchrefrac.numerics import in_blocks
+from torchrefrac.numerics import in_blocks, in_double
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.refraction.lift import Sight, is_valid, look, offset_components, solve_height
 
@@ -56,7 +56,8 @@ def project(
         pixels = torch.stack((fx * u + cx, fy * v + cy), dim=-1)
         return pixels, is_valid(view.sight, height) & ahead, view.sight.beyond > 0
 
-    pixels, valid, beyond = in_blocks(block, *operands(intrinsics, rotation, center, points, interface), (1, 0, 0))
+    compute = block if interface.layers is None else in_double(block)
+    pixels, valid, beyond = in_blocks(compute, *operands(intrinsics, rotation, center, points, interface), (1, 0, 0))
     return pixels, valid, beyond
 
 

@@ -47,7 +47,7 @@ class RefractiveCamera:
         object.__setattr__(self, "cam_from_world_rotation", at_least_single(self.cam_from_world_rotation))
         object.__setattr__(self, "center_in_world", at_least_single(self.center_in_world))
         _ = self.shape
-        if check:
+        if check and not torch.compiler.is_compiling():
             require(self.cam_from_world_rotation, "cam_from_world_rotation")
             require(self.center_in_world, "center_in_world")
             self._require_on_its_side()

@@ -3,13 +3,16 @@
 from torchrefrac.numerics.blocks import in_blocks
 from torchrefrac.numerics.circle import least_squares_on_circle
 from torchrefrac.numerics.indexing import pick
-from torchrefrac.numerics.likeness import like
+from torchrefrac.numerics.likeness import alike, like
 from torchrefrac.numerics.polynomial import real_roots
+from torchrefrac.numerics.precision import in_double
 from torchrefrac.numerics.segments import segment_sum
 from torchrefrac.numerics.small import inverse_cholesky_3x3, smallest_eigenvector_2x2
 
 __all__ = [
+    "alike",
     "in_blocks",
+    "in_double",
     "inverse_cholesky_3x3",
     "least_squares_on_circle",
     "like",

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, field, replace
+from functools import reduce
+from operator import or_
 from typing import Any
 
 import torch
@@ -135,11 +137,8 @@ class FlatInterface:
 
     def refracts(self) -> Tensor:
         """Mask (*B): False where all media have the same index."""
-        first, *others = (torch.as_tensor(index) for index in self.indices)
-        mask = torch.zeros((), dtype=torch.bool, device=first.device)
-        for index in others:
-            mask = mask | (index != first)
-        return mask
+        first, *others = self.indices
+        return torch.as_tensor(reduce(or_, (index != first for index in others)))
 
     def index_like(self, reference: Tensor) -> Tensor:
         """The index ratio in the dtype and on the device of `reference`."""

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchrefrac.geometry import triples
 from torchrefrac.geometry.triples import Triple
-from torchrefrac.numerics import in_blocks
+from torchrefrac.numerics import in_blocks, in_double
 from torchrefrac.refraction.interface import FlatInterface, split_parameters
 from torchrefrac.refraction.layers import HeightPartials, apparent_height, apparent_height_partials
 
@@ -57,11 +57,13 @@ def lift_points(center: Tensor, points: Tensor, interface: FlatInterface) -> tup
     """Apparent offset (*B, 3) of points (*B, 3) seen from `center` (*B, 3), and a validity mask (*B).
 
     All in the interface's frame. Points on the camera's side of the first surface are seen where they are. An entry
-    that is not valid (centre not on the camera's side) gets the straight offset. Without refraction the
-    offset is p - c to the last bit and always valid.
+    that is not valid (centre not on the camera's side) gets the straight offset. Without refraction the offset is
+    p - c, to the last bit where the normal is an axis, and always valid. Stacks are solved in double precision
+    whatever the dtype: how deep a point lies in its layer is a difference of sums.
     """
     if interface.is_absent:
-        offset = points - center
+        batch = torch.broadcast_shapes(points.shape[:-1], center.shape[:-1], interface.shape)
+        offset = (points - center).expand((*batch, 3))
         return offset, torch.ones_like(offset[..., 0], dtype=torch.bool)
 
     def lift(center: Tensor, points: Tensor, *parameters: Tensor) -> tuple[Tensor, Tensor]:
@@ -70,7 +72,8 @@ def lift_points(center: Tensor, points: Tensor, interface: FlatInterface) -> tup
         return torch.stack(offset_components(sight, height), dim=-1), is_valid(sight, height)
 
     parameters = interface.parameters(points)
-    offset, valid = in_blocks(lift, (center, points, *parameters), (1, 1, 1, *(0 for _ in parameters[1:])), (1, 0))
+    compute = lift if interface.layers is None else in_double(lift)
+    offset, valid = in_blocks(compute, (center, points, *parameters), (1, 1, 1, *(0 for _ in parameters[1:])), (1, 0))
     return offset, valid
 
 
@@ -83,13 +86,11 @@ def look(center: Triple, point: Triple, parameters: Sequence[Tensor]) -> Sight:
     height, beyond = triples.dot(n, center) - offset, offset - triples.dot(n, point)
     horizontal = triples.add_scaled(straight, along, n, sign=-1.0)
     bent = (height > 0) & (beyond > 0)
-    thickness, ends_here, passed = [], [], torch.zeros_like(offset)
+    thickness, ends_here, rest = [], [], beyond
     for d in inner:
-        rest = beyond - passed
-        thickness.append(torch.where(bent, torch.minimum(rest.clamp(min=0.0), d), 0.0))
+        thickness.append(torch.where(bent & (rest > 0), torch.where(rest <= d, rest, d), 0.0))
         ends_here.append((rest > 0) & (rest <= d))
-        passed = passed + d
-    rest = beyond - passed if inner else beyond
+        rest = rest - d
     thickness.append(torch.where(bent & (rest > 0), rest, 0.0))
     ends_here.append(rest > 0)
     return Sight(

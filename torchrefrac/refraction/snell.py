@@ -1,13 +1,10 @@
 """The refrax ratio of one water surface (Chang & Chen, ICCV 2011, section 3.2)."""
 
-import torch
 from torch import Tensor
 
-from torchrefrac.checks import at_least_single, require, require_broadcasting, require_floating
-from torchrefrac.numerics import in_blocks
+from torchrefrac.checks import require
+from torchrefrac.numerics import alike, in_blocks
 from torchrefrac.refraction.layers import METHODS, Method, apparent_slope
-
-NAMES = ("height", "depth", "distance", "index_ratio")
 
 
 def solve_refrax(
@@ -32,9 +29,7 @@ def solve_refrax(
     """
     if method not in METHODS:
         raise ValueError(f"method is {method!r}, but must be one of {', '.join(METHODS)}")
-    values = (height, depth, distance, index_ratio)
-    for name, value in zip(NAMES, values, strict=True):
-        require_floating(value, name)
+    values = alike(height=height, depth=depth, distance=distance, index_ratio=index_ratio)
     require(height, "height", above=0.0)
     require(depth, "depth", at_least=0.0)
     require(distance, "distance", at_least=0.0)
@@ -43,16 +38,4 @@ def solve_refrax(
     def solve(h: Tensor, d: Tensor, a: Tensor, n: Tensor) -> tuple[Tensor]:
         return (h * apparent_slope(a * a, h, (d,), (n,), method),)
 
-    return in_blocks(solve, _alike(values), event_dims=(0, 0, 0, 0), result_dims=(0,))[0]
-
-
-def _alike(values: tuple[Tensor | float, ...]) -> list[Tensor]:
-    """Tensors of one dtype on one device: those of the tensors given, else double precision."""
-    given = [at_least_single(value) for value in values if isinstance(value, Tensor)]
-    dtype = given[0].dtype if given else torch.float64
-    for tensor in given[1:]:
-        dtype = torch.promote_types(dtype, tensor.dtype)
-    device = given[0].device if given else None
-    tensors = [torch.as_tensor(value, dtype=dtype, device=device) for value in values]
-    require_broadcasting(**{name: tensor.shape for name, tensor in zip(NAMES, tensors, strict=True)})
-    return tensors
+    return in_blocks(solve, values, event_dims=(0, 0, 0, 0), result_dims=(0,))[0]

@@ -2,11 +2,10 @@
 
 from typing import Final
 
-import torch
 from torch import Tensor
 
 from torchrefrac.checks import require
-from torchrefrac.numerics import like
+from torchrefrac.numerics import alike
 
 FRESH_WATER: Final = 1.333
 SEA_WATER: Final = 1.34
@@ -23,11 +22,10 @@ def water_index(
     scalar. Differentiable. Raises ValueError outside these ranges, which are those of the fit.
     """
     values = {"temperature_c": temperature_c, "salinity_psu": salinity_psu, "wavelength_nm": wavelength_nm}
+    t, s, w = alike(**values)
     for name, value in values.items():
         low, high = RANGES[name]
         require(value, name, at_least=low, at_most=high)
-    reference = next((v for v in values.values() if isinstance(v, Tensor)), torch.zeros((), dtype=torch.float64))
-    t, s, w = (like(value, reference) for value in values.values())
     by_salinity = (1.779e-4 - 1.05e-6 * t + 1.6e-8 * t * t) * s
     by_wavelength = (15.868 + 0.01155 * s - 0.00423 * t) / w - 4382.0 / w**2 + 1.1455e6 / w**3
     return 1.31405 + by_salinity - 2.02e-6 * t * t + by_wavelength

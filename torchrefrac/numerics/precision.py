@@ -1,0 +1,18 @@
+"""Single-precision work done in double where differences of its numbers matter."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+
+def in_double(function: Callable[..., tuple[Tensor, ...]]) -> Callable[..., tuple[Tensor, ...]]:
+    """`function` computed in float64 for float32 tensors and rounded once; MPS has no float64 and stays as it is."""
+
+    def computed(*tensors: Tensor) -> tuple[Tensor, ...]:
+        if tensors[0].dtype != torch.float32 or tensors[0].device.type == "mps":
+            return function(*tensors)
+        results = function(*(tensor.double() for tensor in tensors))
+        return tuple(result.float() if result.is_floating_point() else result for result in results)
+
+    return computed
