@@ -2,8 +2,8 @@
 
     python tools/bench/refraction.py [--points 1000000] [--no-compile]
 
-Prints millions of points a second, each beside the eigenvalues of the paper's quartic (NumPy-free, by
-torch.linalg.eigvals, on a part of the points), then the worst errors against roots in extended precision. The best of
+Prints millions of points a second, each beside the eigenvalues of the paper's quartic (by torch.linalg.eigvals, on
+a part of the points), then the worst errors against roots in extended precision. The best of
 several runs counts. Compiling takes about a minute.
 """
 
