@@ -26,8 +26,8 @@ from torchrefrac.refraction import FlatInterface, lift_points, refract_rays
 class RefractiveCamera:
     """A batch of cameras that look at points beyond `interface`, or on their own side of it.
 
-    cam_from_world_rotation (*B, 3, 3), camera x right, y down, z forward; center_in_world (*B, 3), world z up. The
-    interface is by default a water surface at z = 0. The batch broadcasts against the leading dimensions of what is
+    cam_from_world_rotation (*B, 3, 3), camera x right, y down, z forward; center_in_world (*B, 3), world z up. A
+    `FlatInterface` is by default a water surface at z = 0. The batch broadcasts against the leading dimensions of what is
     projected: give points (N, 3) to one camera, or index a batch of M cameras as `camera[:, None]` for an (M, N) grid.
 
     Raises ValueError for shapes that do not fit, values that are not finite, and a camera that does not stand on its
