@@ -27,8 +27,9 @@ class RefractiveCamera:
     """A batch of cameras that look at points beyond `interface`, or on their own side of it.
 
     cam_from_world_rotation (*B, 3, 3), camera x right, y down, z forward; center_in_world (*B, 3), world z up. A
-    `FlatInterface` is by default a water surface at z = 0. The batch broadcasts against the leading dimensions of what is
-    projected: give points (N, 3) to one camera, or index a batch of M cameras as `camera[:, None]` for an (M, N) grid.
+    `FlatInterface` is by default a water surface at z = 0. The batch broadcasts against the leading dimensions of
+    what is projected: give points (N, 3) to one camera, or index a batch of M cameras as `camera[:, None]` for an
+    (M, N) grid.
 
     Raises ValueError for shapes that do not fit, values that are not finite, and a camera that does not stand on its
     side of the interface. check=False leaves out the look at values, which waits for a GPU: steps of an optimiser may
