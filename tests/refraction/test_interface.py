@@ -1,6 +1,7 @@
 """The flat layers between camera and scene."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -273,3 +274,10 @@ def test_parameters_are_the_plane_the_indices_and_the_thicknesses(draw):
     assert_matches(normal, torch.tensor(WALL.normal))
     values = torch.stack((offset, air, glass, water, thickness))
     assert_matches(values, torch.tensor([-0.3, 1.0, 1.52, 1.333, 0.1]))
+
+
+def test_a_copy_in_another_dtype_can_be_changed_further():
+    for first in torch.linspace(1.0, 2.0, 50, dtype=torch.float64):
+        single = FlatInterface(layers=(first, torch.tensor(1.333, dtype=torch.float64))).to(dtype=torch.float32)
+
+        assert replace(single, plane=Plane((0.1, 0.0, 1.0))).index_ratio == single.index_ratio

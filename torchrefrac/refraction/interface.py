@@ -165,9 +165,10 @@ class FlatInterface:
         return self._with_each(moved, self.plane.to(dtype=dtype, device=device))
 
     def _with_each(self, change: Callable[[Any], Any], plane: Plane) -> "FlatInterface":
+        layers = None if self.layers is None else tuple(change(n) for n in self.indices)
         return FlatInterface(
-            index_ratio=change(self.index_ratio),
-            layers=None if self.layers is None else tuple(change(n) for n in self.indices),
+            index_ratio=change(self.index_ratio) if layers is None else layers[-1] / layers[0],
+            layers=layers,
             thickness=tuple(change(d) for d in self.thickness),
             plane=plane,
             moves_with_camera=self.moves_with_camera,
