@@ -15,12 +15,12 @@ from torch import Tensor
 
 from torchrefrac.camera.distortion import distortion_slopes
 from torchrefrac.camera.intrinsics import Intrinsics
-from torchrefrac.camera.projection import MIN_DEPTH, View, in_camera, operands, view_of
+from torchrefrac.camera.projection import View, in_camera, onto_plane, operands, view_of
 from torchrefrac.geometry import triples
 from torchrefrac.geometry.triples import Triple
-from torchrefrac.numerics import in_blocks, in_double
+from torchrefrac.numerics import in_blocks
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.refraction.lift import Lift, Sight, is_valid, solve_height_with_partials
+from torchrefrac.refraction.lift import Lift, Sight, is_valid, precise, solve_height_with_partials
 
 RESULT_DIMS = (1, 0, 2, 2, 2, 2, 2, 2, 2, 1)
 
@@ -65,8 +65,7 @@ def project_with_jacobians(
 
     tensors, event_dims = operands(intrinsics, rotation, center, points, interface)
     tangents = interface.plane.tangents_like(points)
-    compute = block if interface.layers is None else in_double(block)
-    results = in_blocks(compute, [*tangents, *tensors], [1, 1, *event_dims], RESULT_DIMS)
+    results = in_blocks(precise(block, interface), [*tangents, *tensors], [1, 1, *event_dims], RESULT_DIMS)
     pixels, valid, by_rotation, by_center, by_point, by_focal, by_distortion, by_indices, by_tilt, by_height = results
     by_principal_point = torch.eye(2, dtype=pixels.dtype, device=pixels.device).expand((*valid.shape, 2, 2))
     return (
@@ -88,9 +87,7 @@ def project_with_jacobians(
 
 def _differentiate(view: View, lift: Lift, tangents: tuple[Triple, Triple]) -> tuple[Tensor, ...]:
     x_in_cam = in_camera(view, lift.height)
-    ahead = x_in_cam[2] > MIN_DEPTH
-    inverse = torch.where(ahead, x_in_cam[2], 1.0).reciprocal()
-    x, y = x_in_cam[0] * inverse, x_in_cam[1] * inverse
+    x, y, inverse, ahead = onto_plane(x_in_cam)
     slopes = distortion_slopes(x, y, view.distortion)
     u, v = slopes.u, slopes.v
     (fx, fy), (cx, cy) = view.focal, view.principal_point

@@ -3,7 +3,6 @@
 from collections.abc import Collection
 from dataclasses import replace
 
-import torch
 from torch import Tensor, nn
 
 from torchrefrac.camera.refractive import RefractiveCamera
@@ -65,14 +64,11 @@ class LearnableCamera(nn.Module):
             for p in (self.center, self.rotation, self.plane_tilt, self.plane_height, self.index_ratio)
         )
         start = self._start.to(dtype=shift.dtype, device=shift.device)
-        interface = replace(start.interface, plane=start.interface.plane.moved(tilt, height))
+        interface = replace(start.interface, plane=start.interface.plane.moved(tilt, height), check=False)
         if interface.layers is None:
             interface = interface.with_index_ratio(1.0 + (interface.index_like(shift) - 1.0) * growth.exp())
-        rotation = so3_exp(turn)
-        turned = torch.stack(
-            [rotate(rotation, column) for column in start.cam_from_world_rotation.unbind(dim=-1)], dim=-1
-        )
-        return RefractiveCamera(start.intrinsics, turned, start.center_in_world + shift, interface, check=False)
+        columns = rotate(so3_exp(turn)[..., None, :, :], start.cam_from_world_rotation.mT)
+        return RefractiveCamera(start.intrinsics, columns.mT, start.center_in_world + shift, interface, check=False)
 
     def forward(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
         """`RefractiveCamera.project`."""

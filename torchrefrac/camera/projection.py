@@ -10,9 +10,10 @@ from torchrefrac.camera.distortion import distort_components
 from torchrefrac.camera.intrinsics import Intrinsics
 from torchrefrac.geometry import triples
 from torchrefrac.geometry.triples import Triple
-from torchrefrac.numerics import in_blocks, in_double
+from torchrefrac.numerics import in_blocks
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.refraction.lift import Sight, is_valid, look, offset_components, solve_height
+from torchrefrac.refraction.interface import parameter_dims
+from torchrefrac.refraction.lift import Sight, is_valid, look, offset_components, precise, solve_height
 
 MIN_DEPTH = 1e-9
 
@@ -48,16 +49,14 @@ def project(
         view = view_of(tensors, interface)
         straight = -view.sight.along
         height = straight if interface.is_absent else solve_height(view.sight, interface.camera_in_rarest)
-        x, y, z = in_camera(view, height)
-        ahead = z > MIN_DEPTH
-        inverse = torch.where(ahead, z, 1.0).reciprocal()
-        u, v = distort_components(x * inverse, y * inverse, view.distortion)
+        x, y, _, ahead = onto_plane(in_camera(view, height))
+        u, v = distort_components(x, y, view.distortion)
         (fx, fy), (cx, cy) = view.focal, view.principal_point
         pixels = torch.stack((fx * u + cx, fy * v + cy), dim=-1)
         return pixels, is_valid(view.sight, height) & ahead, view.sight.beyond > 0
 
-    compute = block if interface.layers is None else in_double(block)
-    pixels, valid, beyond = in_blocks(compute, *operands(intrinsics, rotation, center, points, interface), (1, 0, 0))
+    tensors, event_dims = operands(intrinsics, rotation, center, points, interface)
+    pixels, valid, beyond = in_blocks(precise(block, interface), tensors, event_dims, (1, 0, 0))
     return pixels, valid, beyond
 
 
@@ -69,7 +68,7 @@ def operands(
     lens = (intrinsics.focal, intrinsics.principal_point, intrinsics.distortion)
     return Operands(
         [rotation, center, points, *lens, *parameters],
-        [2, 1, 1, 1, 1, 1, 1, *(0 for _ in parameters[1:])],
+        [2, 1, 1, 1, 1, 1, *parameter_dims(parameters)],
     )
 
 
@@ -99,3 +98,11 @@ def in_camera(view: View, height: Tensor) -> Triple:
         return offset
     first, second, third = view.rotation
     return triples.dot(first, offset), triples.dot(second, offset), triples.dot(third, offset)
+
+
+def onto_plane(x_in_cam: Triple) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """x/z, y/z, 1/z, and whether the point lies ahead; where not, z counts as 1."""
+    x, y, z = x_in_cam
+    ahead = z > MIN_DEPTH
+    inverse = torch.where(ahead, z, 1.0).reciprocal()
+    return x * inverse, y * inverse, inverse, ahead

@@ -176,6 +176,11 @@ class FlatInterface:
         )
 
 
+def parameter_dims(parameters: Sequence[Tensor]) -> tuple[int, ...]:
+    """How many dimensions of each of `FlatInterface.parameters` belong to one element: the normal's components."""
+    return 1, *(0 for _ in parameters[1:])
+
+
 def split_parameters(parameters: Sequence[Tensor]) -> tuple[Tensor, Tensor, Sequence[Tensor], Sequence[Tensor]]:
     """Normal, offset, indices and thickness out of the list that `FlatInterface.parameters` gave."""
     normal, offset, *layers = parameters

@@ -5,7 +5,7 @@ offset = u - H n: u is the part of p - c along the layers, H the apparent height
 looks along `offset` completes the exact projection (Chang & Chen, ICCV 2011, Eq. 21, for one water surface).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -14,7 +14,7 @@ from torch import Tensor
 from torchrefrac.geometry import triples
 from torchrefrac.geometry.triples import Triple
 from torchrefrac.numerics import in_blocks, in_double
-from torchrefrac.refraction.interface import FlatInterface, split_parameters
+from torchrefrac.refraction.interface import FlatInterface, parameter_dims, split_parameters
 from torchrefrac.refraction.layers import HeightPartials, apparent_height, apparent_height_partials
 
 
@@ -72,9 +72,14 @@ def lift_points(center: Tensor, points: Tensor, interface: FlatInterface) -> tup
         return torch.stack(offset_components(sight, height), dim=-1), is_valid(sight, height)
 
     parameters = interface.parameters(points)
-    compute = lift if interface.layers is None else in_double(lift)
-    offset, valid = in_blocks(compute, (center, points, *parameters), (1, 1, 1, *(0 for _ in parameters[1:])), (1, 0))
+    dims = (1, 1, *parameter_dims(parameters))
+    offset, valid = in_blocks(precise(lift, interface), (center, points, *parameters), dims, (1, 0))
     return offset, valid
+
+
+def precise(function: Callable[..., tuple[Tensor, ...]], interface: FlatInterface) -> Callable[..., tuple[Tensor, ...]]:
+    """`function` of sight lines in the precision that the interface asks for: double for stacks, see `lift_points`."""
+    return function if interface.layers is None else in_double(function)
 
 
 def look(center: Triple, point: Triple, parameters: Sequence[Tensor]) -> Sight:

@@ -5,7 +5,7 @@ from torch import Tensor
 
 from torchrefrac.geometry import triples
 from torchrefrac.numerics import in_blocks
-from torchrefrac.refraction.interface import FlatInterface, split_parameters
+from torchrefrac.refraction.interface import FlatInterface, parameter_dims, split_parameters
 
 
 def refract_rays(center: Tensor, direction: Tensor, interface: FlatInterface) -> tuple[Tensor, Tensor, Tensor]:
@@ -48,6 +48,6 @@ def refract_rays(center: Tensor, direction: Tensor, interface: FlatInterface) ->
 
     parameters = interface.parameters(direction)
     center, direction, valid = in_blocks(
-        refract, (center, direction, *parameters), (1, 1, 1, *(0 for _ in parameters[1:])), (1, 1, 0)
+        refract, (center, direction, *parameters), (1, 1, *parameter_dims(parameters)), (1, 1, 0)
     )
     return center, direction, valid
