@@ -1,0 +1,87 @@
+"""Levenberg-Marquardt for many small problems at once: each has its own damping, accepts and rejects by itself.
+
+The problems know nothing of each other. A step is judged by the cost of the state that it leads to, which is linearised
+in the same pass: most steps are accepted, and one pass costs little more than the cost alone.
+"""
+
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor
+
+MAX_DAMPING = 1e8
+
+
+class Quadratic(NamedTuple):
+    """Costs (K) of K problems in D unknowns, their gradients (K, D) and Gauss-Newton Hessians (K, D, D)."""
+
+    cost: Tensor
+    gradient: Tensor
+    hessian: Tensor
+
+
+class SmallProblems(Protocol):
+    """K problems whose states are rows of D numbers, to which steps are added."""
+
+    def linearize(self, states: Tensor) -> Quadratic:
+        """At states (K, D). An impossible state has an infinite or NaN cost."""
+        ...
+
+
+class SmallReport(NamedTuple):
+    """states (K, D), the last quadratic model there, and which have converged (K)."""
+
+    states: Tensor
+    quadratic: Quadratic
+    converged: Tensor
+
+
+def minimize_each(
+    problems: SmallProblems,
+    states: Tensor,
+    max_iterations: int = 20,
+    tolerance: float = 1e-8,
+    damping: float = 1e-4,
+) -> SmallReport:
+    """Minimise each problem from its own state (K, D); no state ends worse than it began.
+
+    A problem has converged when the decrease that its undamped model still predicts is below `tolerance` of its cost.
+    """
+    current = problems.linearize(states)
+    damp = torch.full_like(current.cost, damping)
+    converged = _promises(current) <= tolerance * current.cost
+    for _ in range(max_iterations):
+        if bool(converged.all()):
+            break
+        step = solve_damped(current, damp)
+        tried = problems.linearize(states + step)
+        better = (tried.cost <= current.cost) & ~converged
+        states = torch.where(better[:, None], states + step, states)
+        current = Quadratic(
+            torch.where(better, tried.cost, current.cost),
+            torch.where(better[:, None], tried.gradient, current.gradient),
+            torch.where(better[:, None, None], tried.hessian, current.hessian),
+        )
+        damp = torch.where(better, 0.1 * damp, 10.0 * damp)
+        converged = converged | (_promises(current) <= tolerance * current.cost) | (damp > MAX_DAMPING)
+    return SmallReport(states, current, converged)
+
+
+def solve_damped(quadratic: Quadratic, damping: Tensor) -> Tensor:
+    """Steps (K, D) of (H + damping diag(H)) step = -gradient, in units in which H has a unit diagonal.
+
+    Zero where the system is not positive definite.
+    """
+    diagonal = quadratic.hessian.diagonal(dim1=-2, dim2=-1)
+    scale = diagonal.clamp(min=torch.finfo(diagonal.dtype).tiny).rsqrt()
+    scaled = quadratic.hessian * scale[:, :, None] * scale[:, None, :]
+    scaled = scaled + torch.diag_embed(damping[:, None].expand_as(scale))
+    factor, info = torch.linalg.cholesky_ex(scaled)
+    step = -torch.cholesky_solve((scale * quadratic.gradient)[..., None], factor)[..., 0] * scale
+    return torch.where((info == 0)[:, None] & step.isfinite(), step, 0.0)
+
+
+def _promises(quadratic: Quadratic) -> Tensor:
+    """The decrease that an undamped step promises: half of -gradient . step."""
+    step = solve_damped(quadratic, torch.zeros_like(quadratic.cost))
+    return -0.5 * (quadratic.gradient * step).sum(dim=-1)
