@@ -1,5 +1,6 @@
 """Non-linear least squares for problems of two kinds of blocks; knows no cameras and no scenes."""
 
+from torchrefrac.optim.batched import Quadratic, SmallProblems, SmallReport, minimize_each, solve_damped
 from torchrefrac.optim.levenberg_marquardt import (
     LevenbergMarquardtOptions,
     Linearization,
@@ -17,8 +18,13 @@ __all__ = [
     "MinimizeReport",
     "NormalEquations",
     "Problem",
+    "Quadratic",
     "SchurPlan",
+    "SmallProblems",
+    "SmallReport",
     "Step",
     "huber",
     "minimize",
+    "minimize_each",
+    "solve_damped",
 ]

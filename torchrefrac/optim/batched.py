@@ -9,8 +9,6 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-MAX_DAMPING = 1e8
-
 
 class Quadratic(NamedTuple):
     """Costs (K) of K problems in D unknowns, their gradients (K, D) and Gauss-Newton Hessians (K, D, D)."""
@@ -45,15 +43,17 @@ def minimize_each(
 ) -> SmallReport:
     """Minimise each problem from its own state (K, D); no state ends worse than it began.
 
-    A problem has converged when the decrease that its undamped model still predicts is below `tolerance` of its cost.
+    A problem has converged when the decrease that its model still promises is below `tolerance` of its cost.
     """
     current = problems.linearize(states)
     damp = torch.full_like(current.cost, damping)
-    converged = _promises(current) <= tolerance * current.cost
+    converged = torch.zeros_like(current.cost, dtype=torch.bool)
     for _ in range(max_iterations):
+        step = solve_damped(current, damp)
+        promised = -0.5 * (current.gradient * step).sum(dim=-1)
+        converged = converged | (promised <= tolerance * current.cost)
         if bool(converged.all()):
             break
-        step = solve_damped(current, damp)
         tried = problems.linearize(states + step)
         better = (tried.cost <= current.cost) & ~converged
         states = torch.where(better[:, None], states + step, states)
@@ -63,7 +63,6 @@ def minimize_each(
             torch.where(better[:, None, None], tried.hessian, current.hessian),
         )
         damp = torch.where(better, 0.1 * damp, 10.0 * damp)
-        converged = converged | (_promises(current) <= tolerance * current.cost) | (damp > MAX_DAMPING)
     return SmallReport(states, current, converged)
 
 
@@ -80,8 +79,3 @@ def solve_damped(quadratic: Quadratic, damping: Tensor) -> Tensor:
     step = -torch.cholesky_solve((scale * quadratic.gradient)[..., None], factor)[..., 0] * scale
     return torch.where((info == 0)[:, None] & step.isfinite(), step, 0.0)
 
-
-def _promises(quadratic: Quadratic) -> Tensor:
-    """The decrease that an undamped step promises: half of -gradient . step."""
-    step = solve_damped(quadratic, torch.zeros_like(quadratic.cost))
-    return -0.5 * (quadratic.gradient * step).sum(dim=-1)

@@ -1,49 +1,64 @@
-"""Absolute pose with known vertical, scored by refractive reprojection error."""
+"""Absolute pose of a camera above water with a measured vertical, by exact refractive reprojection errors."""
 
 import torch
 from torch import Tensor
 
-from torchrefrac.geometry import heading_rotation
-from torchrefrac.minimal import absolute_pose_2pt, absolute_pose_lsqi
-from torchrefrac.ransac.relative import level_rays, plane_error
-from torchrefrac.refraction import FlatInterface
+from torchrefrac.minimal.absolute_pose import unchecked_absolute_pose_2pt
+from torchrefrac.minimal.known_heading import unchecked_absolute_pose_known_heading
+from torchrefrac.ransac.degeneracy import explain_absolute
+from torchrefrac.ransac.rays import level_rays, require_data, tilted_samples
+from torchrefrac.refinement import OneView
 
 
 class AbsolutePoseEstimator:
-    """Models are (heading, c_x, c_y, c_z) of a camera that sees known points.
+    """Models are those of `OneView`: tilt (2), heading and centre of a camera that sees known points, wet or dry.
 
-    plane (N, 2): ideal image-plane coordinates; points (N, 3) in the world; cam_from_level (3, 3); focal (2)
-    scales image-plane errors to pixels.
+    Samples are solved with the measured vertical; the optimisation takes in its error.
     """
 
     sample_size = 2
 
-    def __init__(
-        self, plane: Tensor, points: Tensor, cam_from_level: Tensor, focal: Tensor, index_ratio: Tensor
-    ) -> None:
-        self._plane, self._points = plane, points
-        self._cam_from_level, self._focal, self._index_ratio = cam_from_level, focal, index_ratio
-        self._interface = FlatInterface(index_ratio)
-        self._rays = level_rays(plane, cam_from_level)
+    def __init__(self, view: OneView) -> None:
+        require_data(view.plane, points=view.points)
+        self.view = view
+        self._single = view.single()
+        self._rays = level_rays(view.plane, view.cam_from_level)
 
     @property
     def num_data(self) -> int:
-        return self._plane.shape[0]
+        return len(self.view)
+
+    @property
+    def samples_per_hit(self) -> float:
+        return tilted_samples(self.view.gravity_sigma, self.view.focal)
 
     def solve(self, samples: Tensor) -> tuple[Tensor, Tensor]:
-        heading, center, valid = absolute_pose_2pt(self._rays[samples], self._points[samples], self._index_ratio)
-        return torch.cat((heading[..., None], center), dim=-1), valid
+        rays, points, index = self._rays[samples], self.view.points[samples], self.view.index_ratio
+        if self.view.known_heading is None:
+            heading, center, valid = unchecked_absolute_pose_2pt(rays, points, index)
+        else:
+            heading = rays.new_full((len(samples), 1), self.view.known_heading)
+            center, valid = unchecked_absolute_pose_known_heading(rays, points, heading[:, 0], index)
+            center, valid = center[:, None], valid[:, None]
+        tilt = torch.zeros_like(heading)[..., None].expand(*heading.shape, 2)
+        return torch.cat((tilt, heading[..., None], center), dim=-1), valid
 
-    def refit(self, model: Tensor, inliers: Tensor) -> tuple[Tensor, Tensor]:
-        """Weighted by the inverse distance to the camera, which turns metric errors into angles."""
-        points = self._points[inliers]
-        weights = (points - model[1:]).norm(dim=-1).clamp(min=torch.finfo(points.dtype).eps).reciprocal()
-        heading, center, valid = absolute_pose_lsqi(self._rays[inliers], points, self._index_ratio, weights)
-        return torch.cat((heading[None], center))[None], valid[None]
+    def squared_errors(self, models: Tensor, rows: Tensor | None) -> Tensor:
+        view = self.view if models.dtype == self.view.plane.dtype else self._single
+        return (view if rows is None else view.rows(rows)).squared_errors(models)
 
-    def squared_errors(self, models: Tensor) -> Tensor:
-        rotation = self._cam_from_level @ heading_rotation(models[:, 0])
-        error, ahead = plane_error(
-            self._points[None], models[:, None, 1:], rotation, self._plane, self._focal, self._interface
-        )
-        return torch.where(ahead, error, torch.inf)
+    def optimize(self, models: Tensor, max_error: float, rows: Tensor | None) -> tuple[Tensor, Tensor]:
+        view, stages = (self.view, THOROUGH) if rows is None else (self.view.rows(rows), QUICK)
+        cost = models.new_zeros(len(models))
+        for widened, iterations in stages:
+            models, quadratic, _ = view.refine(models, widened * max_error, iterations)
+            cost = quadratic.cost
+        return models, 2.0 * cost
+
+    def degeneracy(self, model: Tensor, inliers: Tensor) -> str:
+        return explain_absolute(self.view.rows(inliers), model)
+
+
+QUICK = ((4.0, 2), (2.0, 2), (1.0, 2))
+THOROUGH = ((1.0, 12),)
+"""Stages of the optimisation: how far max_error is widened, and the iterations."""

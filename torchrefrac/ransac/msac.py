@@ -1,4 +1,10 @@
-"""The batched MSAC loop. It draws, scores, refits and stops; what a model is, only the estimator knows."""
+"""The batched LO-MSAC loop. It draws, screens, optimises and stops; what a model is, only the estimator knows.
+
+Whole batches of minimal samples are solved and scored at once (MSAC: sum of squared errors truncated at max_error; Torr &
+Zisserman, CVIU 2000). Scoring has two stages: every model on a random part of the data, in single precision; then the
+leaders of the batch are optimised on that part, and when the best of them beats all before it is optimised on all the
+data (local optimisation: Chum, Matas, Kittler, DAGM 2003) and judged there.
+"""
 
 import math
 from dataclasses import dataclass
@@ -7,11 +13,14 @@ from typing import Literal, Protocol
 import torch
 from torch import Tensor
 
-SCORE_ELEMENTS = 1 << 17
+from torchrefrac.ransac.sampling import draw_samples
+
+SCORE_ELEMENTS = 1 << 15
+Status = Literal["success", "too_few_data", "no_consensus", "degenerate"]
 
 
 class Estimator(Protocol):
-    """Models are rows of D numbers; data are numbered 0 ... num_data - 1."""
+    """Models are rows of D numbers; data are numbered 0 ... num_data - 1. rows (n): some of the data; None: all."""
 
     @property
     def sample_size(self) -> int: ...
@@ -19,44 +28,68 @@ class Estimator(Protocol):
     @property
     def num_data(self) -> int: ...
 
+    @property
+    def samples_per_hit(self) -> float:
+        """How many samples without outliers it takes, on average, for one that is good enough to be optimised."""
+        ...
+
     def solve(self, samples: Tensor) -> tuple[Tensor, Tensor]:
         """Candidates of minimal samples (S, sample_size): models (S, M, D), valid (S, M)."""
         ...
 
-    def squared_errors(self, models: Tensor) -> Tensor:
-        """Squared error of each datum under each model: (H, D) -> (H, num_data); inf where impossible."""
+    def squared_errors(self, models: Tensor, rows: Tensor | None) -> Tensor:
+        """Squared error of each datum under each model, in the precision of the models: (H, D) -> (H, n).
+
+        Infinite where impossible.
+        """
         ...
 
-    def refit(self, model: Tensor, inliers: Tensor) -> tuple[Tensor, Tensor]:
-        """Candidates fitted to all `inliers` (num_data) of `model` (D): models (M, D), valid (M).
+    def optimize(self, models: Tensor, max_error: float, rows: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Models (K, D) improved on the data, and their costs (K): what the score is, and priors.
 
-        Asked only with more inliers than a sample has.
+        A few steps for a part of the data, which only has to tell good starts from bad; to convergence for all.
         """
+        ...
+
+    def degeneracy(self, model: Tensor, inliers: Tensor) -> str:
+        """Why the inliers (num_data) do not determine the model (D), in a sentence; empty if they do."""
         ...
 
 
 @dataclass(frozen=True)
 class RansacOptions:
-    """max_error in the estimator's unit (pixels for poses); confidence that an all-inlier sample was drawn."""
+    """max_error in the estimator's unit (pixels for poses); confidence that a good enough sample was drawn.
+
+    batch_size: samples of the first batch; each one after is twice as large, up to max_batch_size.
+    screening_size: data that models are screened with, at screening_factor times max_error; leaders: models of a batch
+    that are optimised on them.
+    """
 
     max_error: float = 4.0
     confidence: float = 0.9999
-    batch_size: int = 32
-    min_samples: int = 32
-    max_samples: int = 3072
-    refits: int = 5
+    batch_size: int = 128
+    max_batch_size: int = 1024
+    max_samples: int = 24576
+    screening_size: int = 256
+    screening_factor: float = 2.0
+    leaders: int = 8
     min_inliers: int = 12
 
 
 @dataclass(frozen=True)
 class RansacReport:
-    """What came out. `model` (D) and `inliers` (num_data) are those of the best model, also without consensus."""
+    """What came out. `model` (D) and `inliers` (num_data) of a success; otherwise the model is empty.
 
-    status: Literal["success", "too_few_data", "no_consensus"]
+    inliers and cost are those of the best model also where there were too few of them, or they did not determine it;
+    `detail` says why in a sentence.
+    """
+
+    status: Status
     model: Tensor
     inliers: Tensor
-    score: float
+    cost: float
     num_samples: int
+    detail: str = ""
 
     @property
     def num_inliers(self) -> int:
@@ -64,77 +97,87 @@ class RansacReport:
 
 
 def ransac(estimator: Estimator, options: RansacOptions, generator: torch.Generator) -> RansacReport:
-    """Find the model with the least sum of squared errors truncated at `max_error` (MSAC).
+    """Find the model that most data agree with.
 
-    Whole batches of samples are solved and scored at once. When a batch improves the best model, that model is
-    refitted to its inliers for as long as this improves it. Drawing stops once a sample without outliers has been
-    seen with `confidence` at the best inlier ratio. Deterministic for a given state of `generator`.
-    Fails ("no_consensus") when fewer than `min_inliers` data agree; "too_few_data" when there are not that many.
+    Deterministic for a given state of `generator`. Fails with a status, not with a model: "too_few_data"; "no_consensus",
+    fewer than min_inliers data agree; "degenerate", they agree but do not determine it. Drawing ends when so
+    many samples were drawn that with `confidence` a good enough one was among them, at the best inlier ratio so far.
     """
-    needed = max(estimator.sample_size, options.min_inliers)
+    needed = max(estimator.sample_size + 1, options.min_inliers)
     if estimator.num_data < needed:
-        none = torch.zeros(estimator.num_data, dtype=torch.bool)
-        return RansacReport("too_few_data", torch.zeros(0), none, math.inf, 0)
-    best = _Best()
-    drawn, wanted = 0, options.max_samples
-    while drawn < max(wanted, options.min_samples) and drawn < options.max_samples:
-        count = min(options.batch_size, options.max_samples - drawn)
-        keys = torch.rand(count, estimator.num_data, generator=generator)
-        samples = keys.topk(estimator.sample_size, dim=-1).indices
+        detail = f"there are only {estimator.num_data} data, but {needed} must agree"
+        nothing = torch.zeros(estimator.num_data, dtype=torch.bool)
+        return RansacReport("too_few_data", torch.zeros(0), nothing, math.inf, 0, detail)
+    search = _Search(estimator, options, generator)
+    size = options.batch_size
+    while (left := min(search.wanted, options.max_samples) - search.drawn) > 0:
+        search.batch(min(size, left))
+        size = min(2 * size, options.max_batch_size)
+    return search.report(needed)
+
+
+class _Search:
+    """The best model so far, what it explains, and how many samples are wanted because of it."""
+
+    def __init__(self, estimator: Estimator, options: RansacOptions, generator: torch.Generator) -> None:
+        self.estimator, self.options, self.generator = estimator, options, generator
+        self.drawn, self.wanted = 0, options.max_samples
+        self.model = torch.zeros(0)
+        self.inliers = torch.zeros(estimator.num_data, dtype=torch.bool)
+        self.cost = self.screened_cost = math.inf
+        self.rows: Tensor | None = None
+        if estimator.num_data > 2 * options.screening_size:
+            self.rows = torch.randperm(estimator.num_data, generator=generator)[: options.screening_size]
+
+    def batch(self, count: int) -> None:
+        """Draw, solve, screen; optimise the leaders, and the best of them on all data if none before was as good."""
+        estimator = self.estimator
+        samples = draw_samples(count, estimator.num_data, estimator.sample_size, self.generator)
         models, valid = estimator.solve(samples)
-        drawn += count
-        if best.improve(estimator, models[valid], options.max_error):
-            _refit(best, estimator, options)
-            wanted = _samples_needed(best.num_inliers / estimator.num_data, estimator.sample_size, options)
-    if best.model is None or best.inliers is None:
-        none = torch.zeros(estimator.num_data, dtype=torch.bool)
-        return RansacReport("no_consensus", torch.zeros(0), none, math.inf, drawn)
-    status = "success" if best.num_inliers >= needed else "no_consensus"
-    return RansacReport(status, best.model, best.inliers, best.score, drawn)
-
-
-class _Best:
-    """The best model so far and what it explains."""
-
-    def __init__(self) -> None:
-        self.model: Tensor | None = None
-        self.inliers: Tensor | None = None
-        self.score = math.inf
-        self.num_inliers = 0
-
-    def improve(self, estimator: Estimator, models: Tensor, max_error: float) -> bool:
-        """Take the best of `models` (H, D) if it beats this one."""
+        self.drawn += count
+        models = models[valid]
         if not len(models):
-            return False
-        limit = max_error * max_error
-        chunk = max(1, SCORE_ELEMENTS // estimator.num_data)
-        improved = False
-        for part in models.split(chunk):
-            errors = estimator.squared_errors(part)
-            score, index = errors.clamp(max=limit).sum(dim=-1).min(dim=0)
-            if float(score) < self.score:
-                self.score = float(score)
-                self.model = part[index]
-                self.inliers = errors[index] < limit
-                improved = True
-        if improved and self.inliers is not None:
-            self.num_inliers = int(self.inliers.sum())
-        return improved
-
-
-def _refit(best: _Best, estimator: Estimator, options: RansacOptions) -> None:
-    for _ in range(options.refits):
-        if best.model is None or best.inliers is None or best.num_inliers <= estimator.sample_size:
             return
-        models, valid = estimator.refit(best.model, best.inliers)
-        if not best.improve(estimator, models[valid], options.max_error):
+        scores = self._scores(models)
+        leaders = models[scores.topk(min(self.options.leaders, len(models)), largest=False).indices]
+        leaders, costs = estimator.optimize(leaders, self.options.max_error, self.rows)
+        cost, index = costs.min(dim=0)
+        if float(cost) >= self.screened_cost:
             return
+        self.screened_cost = float(cost)
+        best, costs = leaders[index][None], cost[None]
+        if self.rows is not None:
+            best, costs = estimator.optimize(best, self.options.max_error, None)
+        if float(costs[0]) < self.cost:
+            self._take(best[0], float(costs[0]))
 
+    def report(self, needed: int) -> RansacReport:
+        count = int(self.inliers.sum())
+        if count < needed:
+            detail = f"only {count} of {self.estimator.num_data} data agree with the best model, but {needed} must"
+            return self._without_model("no_consensus", detail)
+        detail = self.estimator.degeneracy(self.model, self.inliers)
+        if detail:
+            return self._without_model("degenerate", detail)
+        return RansacReport("success", self.model, self.inliers, self.cost, self.drawn)
 
-def _samples_needed(inlier_ratio: float, sample_size: int, options: RansacOptions) -> int:
-    all_inliers = inlier_ratio**sample_size
-    if all_inliers >= 1.0:
-        return 0
-    if all_inliers <= 0.0:
-        return options.max_samples
-    return math.ceil(math.log(1.0 - options.confidence) / math.log1p(-all_inliers))
+    def _without_model(self, status: Status, detail: str) -> RansacReport:
+        return RansacReport(status, self.model[:0], self.inliers, self.cost, self.drawn, detail)
+
+    def _scores(self, models: Tensor) -> Tensor:
+        """Truncated sums (H) of squared errors of the screening data."""
+        limit = (self.options.screening_factor * self.options.max_error) ** 2
+        size = self.estimator.num_data if self.rows is None else len(self.rows)
+        parts = models.float().split(max(1, SCORE_ELEMENTS // size))
+        return torch.cat(
+            [self.estimator.squared_errors(part, self.rows).clamp(max=limit).sum(dim=-1) for part in parts]
+        )
+
+    def _take(self, model: Tensor, cost: float) -> None:
+        self.model, self.cost = model, cost
+        self.inliers = self.estimator.squared_errors(model[None], None)[0] < self.options.max_error**2
+        hits = float(self.inliers.double().mean()) ** self.estimator.sample_size / self.estimator.samples_per_hit
+        if hits >= 1.0:
+            self.wanted = 0
+        elif hits > 0.0:
+            self.wanted = math.ceil(math.log(1.0 - self.options.confidence) / math.log1p(-hits))

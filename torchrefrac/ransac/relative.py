@@ -1,108 +1,69 @@
-"""Relative pose with known verticals, scored by refractive reprojection error."""
+"""Relative pose of two cameras above water with measured verticals, by their refractive epipolar errors."""
 
 import torch
 from torch import Tensor
 
-from torchrefrac.geometry import heading_rotation
-from torchrefrac.minimal import relative_pose_npt
-from torchrefrac.minimal.rays import slopes
-from torchrefrac.refraction import FlatInterface, lift_points
+from torchrefrac.minimal.known_heading import unchecked_relative_pose_3pt
+from torchrefrac.minimal.relative_pose_4pt import unchecked_relative_pose_4pt
+from torchrefrac.ransac.degeneracy import explain_relative
+from torchrefrac.ransac.rays import level_rays, require_data, tilted_samples
+from torchrefrac.refinement import TwoViews
 
 
 class RelativePoseEstimator:
-    """Models are (heading, c_x, c_y, c_z) of the second camera; the first stands at (0, 0, height), heading 0.
+    """Models are those of `TwoViews`: tilts of both cameras (4), heading and centre of the second, relative to the first
+    at (0, 0, height) with heading 0.
 
-    plane1, plane2 (N, 2): ideal image-plane coordinates of the matches; cam1_from_level, cam2_from_level (3, 3);
-    focal (2): scales image-plane errors to pixels. The error of a match is the root mean square over both images
-    of the reprojection error of its triangulated point, which must lie below the water and ahead of both cameras.
+    Samples are solved with the measured verticals; the optimisation takes in their errors. The error of a match is the
+    smallest correction of both pixels that makes their rays meet, to first order; they must meet below the water.
     """
 
-    sample_size = 7
+    def __init__(self, views: TwoViews) -> None:
+        require_data(views.plane1, plane2=views.plane2)
+        self.views = views
+        self._single = views.single()
+        self._rays1 = level_rays(views.plane1, views.cam_from_level[0])
+        self._rays2 = level_rays(views.plane2, views.cam_from_level[1])
 
-    def __init__(
-        self,
-        plane1: Tensor,
-        plane2: Tensor,
-        cam1_from_level: Tensor,
-        cam2_from_level: Tensor,
-        focal: Tensor,
-        index_ratio: Tensor,
-        height: float = 1.0,
-    ) -> None:
-        self.height = height
-        self._plane1, self._plane2 = plane1, plane2
-        self._cam1_from_level, self._cam2_from_level = cam1_from_level, cam2_from_level
-        self._focal, self._index_ratio, self._interface = focal, index_ratio, FlatInterface(index_ratio)
-        self._rays1 = level_rays(plane1, cam1_from_level)
-        self._rays2 = level_rays(plane2, cam2_from_level)
-        self._m1, self._g1 = slopes(self._rays1, index_ratio)
-        self._m2, self._g2 = slopes(self._rays2, index_ratio)
+    @property
+    def sample_size(self) -> int:
+        return 4 if self.views.known_heading is None else 3
 
     @property
     def num_data(self) -> int:
-        return self._plane1.shape[0]
+        return len(self.views)
+
+    @property
+    def samples_per_hit(self) -> float:
+        return tilted_samples(self.views.gravity_sigma, self.views.focal)
 
     def solve(self, samples: Tensor) -> tuple[Tensor, Tensor]:
-        return self._fit(self._rays1[samples], self._rays2[samples])
+        rays1, rays2 = self._rays1[samples], self._rays2[samples]
+        index, height = self.views.index_ratio, self.views.height
+        if self.views.known_heading is None:
+            heading, center, valid = unchecked_relative_pose_4pt(rays1, rays2, index, height)
+        else:
+            heading = rays1.new_full((len(samples), 1), self.views.known_heading)
+            center, valid = unchecked_relative_pose_3pt(rays1, rays2, heading[:, 0], index, height)
+            center, valid = center[:, None], valid[:, None]
+        tilts = torch.zeros_like(heading)[..., None].expand(*heading.shape, 4)
+        return torch.cat((tilts, heading[..., None], center), dim=-1), valid
 
-    def refit(self, model: Tensor, inliers: Tensor) -> tuple[Tensor, Tensor]:
-        return self._fit(self._rays1[inliers], self._rays2[inliers])
+    def squared_errors(self, models: Tensor, rows: Tensor | None) -> Tensor:
+        views = self.views if models.dtype == self.views.plane1.dtype else self._single
+        errors = (views if rows is None else views.rows(rows)).errors(models)
+        return torch.where(errors.possible, errors.error.square(), torch.inf)
 
-    def squared_errors(self, models: Tensor) -> Tensor:
-        points, possible = self.triangulate(models)
-        first = points.new_tensor((0.0, 0.0, self.height))
-        error1, ahead1 = self._error(points, first, self._cam1_from_level[None], self._plane1)
-        cam2_from_world = self._cam2_from_level @ heading_rotation(models[:, 0])
-        error2, ahead2 = self._error(points, models[:, None, 1:], cam2_from_world, self._plane2)
-        possible = possible & ahead1 & ahead2
-        return torch.where(possible, 0.5 * (error1 + error2), torch.inf)
+    def optimize(self, models: Tensor, max_error: float, rows: Tensor | None) -> tuple[Tensor, Tensor]:
+        views, stages = (self.views, THOROUGH) if rows is None else (self.views.rows(rows), QUICK)
+        for widened, iterations in stages:
+            models = views.refine(models, widened * max_error, iterations).states
+        return models, views.costs(models, max_error)
 
-    def triangulate(self, models: Tensor) -> tuple[Tensor, Tensor]:
-        """Points (H, N, 3) where the rays in the water pass each other, and which lie below the surface (H, N).
-
-        Both rays are linear in depth, p_xy = q + (m/g) p_z: p_z makes their horizontal distance smallest.
-        """
-        m1, g1, g2 = self._m1, self._g1, self._g2
-        m2 = self._m2 @ heading_rotation(models[:, 0])[:, :2, :2]
-        center = models[:, None, 1:]
-        foot1 = -self.height * m1
-        foot2 = center[..., :2] - center[..., 2:] * m2
-        slope1, slope2 = m1 / g1[:, None], m2 / g2[:, None]
-        gap, spread = foot1 - foot2, slope1 - slope2
-        norm = spread.square().sum(dim=-1)
-        tiny = torch.finfo(norm.dtype).tiny
-        z = -(gap * spread).sum(dim=-1) / norm.clamp(min=tiny)
-        below = (z < 0.0) & (norm > tiny)
-        z = torch.where(below, z, -1.0)
-        horizontal = 0.5 * (foot1 + foot2 + (slope1 + slope2) * z[..., None])
-        return torch.cat((horizontal, z[..., None]), dim=-1), below
-
-    def _fit(self, rays1: Tensor, rays2: Tensor) -> tuple[Tensor, Tensor]:
-        heading, center, valid = relative_pose_npt(rays1, rays2, self._index_ratio, self.height)
-        return torch.cat((heading[..., None], center), dim=-1), valid
-
-    def _error(self, points: Tensor, center: Tensor, rotation: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
-        return plane_error(points, center, rotation, plane, self._focal, self._interface)
+    def degeneracy(self, model: Tensor, inliers: Tensor) -> str:
+        return explain_relative(self.views.rows(inliers), model)
 
 
-def level_rays(plane: Tensor, cam_from_level: Tensor) -> Tensor:
-    """Gravity-aligned rays (N, 3) of image-plane coordinates (N, 2)."""
-    return torch.cat((plane, torch.ones_like(plane[..., :1])), dim=-1) @ cam_from_level
-
-
-def plane_error(
-    points: Tensor, center: Tensor, rotation: Tensor, plane: Tensor, focal: Tensor, interface: FlatInterface
-) -> tuple[Tensor, Tensor]:
-    """Squared reprojection error in pixels (H, N) of points (H, N, 3) or (N, 3), and which lie ahead.
-
-    center broadcasts against the points, rotation (H, 3, 3). Measured before the lens: the distortion has been
-    undone in `plane`, and a pixel there is a focal length's part.
-    """
-    center, points = torch.broadcast_tensors(center, points)
-    offset, valid = lift_points(center, points, interface)
-    x, y, z = (offset @ rotation.mT).unbind(dim=-1)
-    ahead = valid & (z > 0.0)
-    inverse = torch.where(ahead, z, 1.0).reciprocal()
-    u = (x * inverse - plane[:, 0]) * focal[0]
-    v = (y * inverse - plane[:, 1]) * focal[1]
-    return u * u + v * v, ahead
+QUICK = ((2.0, 3), (1.0, 3))
+THOROUGH = ((1.0, 12),)
+"""Stages of the optimisation: how far max_error is widened, and the iterations."""

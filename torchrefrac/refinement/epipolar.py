@@ -29,18 +29,24 @@ class Views(NamedTuple):
 
 
 class EpipolarError(NamedTuple):
-    """error (*B, N), signed, in pixels, and where the rays meet below the water (*B, N)."""
+    """error, signed, in pixels; depth below the surface at which the rays pass each other horizontally nearest; down:
+    whether both rays go down to the water. All (*B, N)."""
 
     error: Tensor
-    possible: Tensor
+    depth: Tensor
+    down: Tensor
+
+    @property
+    def possible(self) -> Tensor:
+        """Whether the two rays can come from one point under water (*B, N)."""
+        return self.down & (self.depth > 0.0)
 
 
 class EpipolarJacobian(NamedTuple):
-    """EpipolarError with derivatives: in a turn of each camera about the axes of the world, R <- R exp([t]x), and in
-    each centre, all (*B, N); the pixel scale counts as constant, which is exact where the error vanishes."""
+    """error in pixels with its derivatives: in a turn of each camera about the axes of the world, R <- R exp([t]x), and
+    in each centre, all (*B, N)."""
 
     error: Tensor
-    possible: Tensor
     turn: tuple[Triple, Triple]
     center: tuple[Triple, Triple]
 
@@ -59,7 +65,7 @@ class _Ray(NamedTuple):
 def epipolar_error(first: Views, second: Views, focal: tuple[Tensor, Tensor], index_ratio: Tensor) -> EpipolarError:
     """Error of matches in two views; focal (fx, fy) turns image coordinates into pixels."""
     seen = _constrain(first, second, focal, index_ratio)
-    return EpipolarError(seen.value * seen.square.rsqrt(), seen.possible)
+    return EpipolarError(seen.value * seen.square.rsqrt(), seen.depth, seen.down)
 
 
 def epipolar_jacobian(
@@ -87,14 +93,35 @@ def epipolar_jacobian(
     px, py = scale * there.by_q[0], scale * there.by_q[1]
     center = tuple((px, py, -(px * ray.m[0] + py * ray.m[1])) for ray in there.rays)
     opposite = (-center[1][0], -center[1][1], -center[1][2])
-    return EpipolarJacobian(value * scale, seen.possible, (turn[0], turn[1]), (center[0], opposite))
+    return EpipolarJacobian(value * scale, (turn[0], turn[1]), (center[0], opposite))
+
+
+def meeting_points(first: Views, second: Views, index_ratio: Tensor) -> Tensor:
+    """Points (*B, N, 3) half way between the rays of each match where they pass each other horizontally nearest."""
+    excess = (index_ratio - 1.0) * (index_ratio + 1.0)
+    one, two = (_ray(view, index_ratio, excess) for view in (first, second))
+    depth = _depth(_between(one.q, two.q), _between(one.w, two.w))
+    x, y = (0.5 * (a + b - depth * (v + w)) for a, b, v, w in zip(one.q, two.q, one.w, two.w, strict=True))
+    return torch.stack((x, y, -depth), dim=-1)
+
+
+def _between(one: tuple[Tensor, Tensor], two: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    return one[0] - two[0], one[1] - two[1]
+
+
+def _depth(gap: tuple[Tensor, Tensor], spread: tuple[Tensor, Tensor]) -> Tensor:
+    """Depth at which lines that enter the water `gap` apart and whose slopes differ by `spread` are nearest."""
+    (gx, gy), (wx, wy) = gap, spread
+    square = torch.addcmul(wx * wx, wy, wy).clamp(min=torch.finfo(wx.dtype).tiny)
+    return torch.addcmul(gx * wx, gy, wy) / square
 
 
 class _Constraint(NamedTuple):
-    """f, its derivatives in both rays v, in both pixels and in q_1, the sum of squares of those in pixels."""
+    """f, where the rays meet, whether they go down, the derivatives of f in both rays v, in both pixels and in q_1, the sum of squares of those in pixels."""
 
     value: Tensor
-    possible: Tensor
+    depth: Tensor
+    down: Tensor
     rays: tuple[_Ray, _Ray]
     by_v: tuple[Triple, Triple]
     by_pixel: tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -105,9 +132,7 @@ class _Constraint(NamedTuple):
 def _constrain(first: Views, second: Views, focal: tuple[Tensor, Tensor], index_ratio: Tensor) -> _Constraint:
     excess = (index_ratio - 1.0) * (index_ratio + 1.0)
     one, two = (_ray(view, index_ratio, excess) for view in (first, second))
-    gx, gy = one.q[0] - two.q[0], one.q[1] - two.q[1]
-    wx, wy = one.w[0] - two.w[0], one.w[1] - two.w[1]
-    meets = torch.addcmul(gx * wx, gy, wy) > 0.0
+    (gx, gy), (wx, wy) = gap, spread = _between(one.q, two.q), _between(one.w, two.w)
     by_q, by_w = (wy, -wx), (-gy, gx)
     b1 = _by_ray(first, one, 1.0, by_q, by_w, excess)
     b2 = _by_ray(second, two, -1.0, by_q, by_w, excess)
@@ -119,7 +144,8 @@ def _constrain(first: Views, second: Views, focal: tuple[Tensor, Tensor], index_
     square = torch.addcmul(torch.addcmul(torch.addcmul(ux * ux, uy, uy), vx, vx), vy, vy)
     return _Constraint(
         value=torch.addcmul(gx * wy, gy, wx, value=-1.0),
-        possible=meets & (one.inverse_z < 0.0) & (two.inverse_z < 0.0),
+        depth=_depth(gap, spread),
+        down=(one.inverse_z < 0.0) & (two.inverse_z < 0.0),
         rays=(one, two),
         by_v=(b1, b2),
         by_pixel=(by_pixel[0], by_pixel[1]),

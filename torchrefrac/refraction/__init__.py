@@ -1,6 +1,7 @@
 """Refraction at flat layers: the solve and its derivatives, lifted points, bent rays, the index of water."""
 
 from torchrefrac.refraction.interface import FlatInterface
+from torchrefrac.refraction.iterations import screening_height
 from torchrefrac.refraction.layers import HeightPartials, apparent_height, apparent_height_partials
 from torchrefrac.refraction.lift import lift_points
 from torchrefrac.refraction.rays import refract_rays
@@ -16,6 +17,7 @@ __all__ = [
     "apparent_height_partials",
     "lift_points",
     "refract_rays",
+    "screening_height",
     "solve_refrax",
     "water_index",
 ]

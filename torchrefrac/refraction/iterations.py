@@ -62,6 +62,19 @@ def find_root(equation: Equation, method: str) -> Tensor:
     return s
 
 
+def screening_height(distance_sq: Tensor, height: Tensor, depth: Tensor, index_ratio: Tensor) -> Tensor:
+    """Apparent height (*B) over one water surface for comparing many hypotheses: values only, in the dtype given.
+
+    height > 0, depth >= 0. Two Halley steps: a relative error of 3e-7 in float32, for depth/height within 10^+-2 of
+    1e-7 in float64.
+    """
+    equation = Equation(distance_sq, height, [depth], [index_ratio])
+    s = lower_bound(equation)
+    for _ in range(2):
+        s = _halley_step(s, equation)
+    return s.reciprocal()
+
+
 def lower_bound(equation: Equation) -> Tensor:
     """The largest of five lower bounds of s."""
     clear = equation.clear

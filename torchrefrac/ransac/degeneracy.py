@@ -1,0 +1,69 @@
+"""When the matches that agree on a pose do not determine it: said from the information that they carry.
+
+The covariance of the pose follows from its quadratic model, pixels of `pixel_sigma` and gravity as a prior. Where it is as
+large as the pose itself, any pose from a whole family explains the matches, and none is given. Of the two degenerate
+cases of Chang & Chen (ICCV 2011, section 3.4.1) and of refraction that is too weak each shows it in this way.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchrefrac.refinement import OneView, TwoViews
+
+MAX_UNCERTAINTY = 0.3
+NARROW = 0.02
+
+
+def explain_relative(views: TwoViews, model: Tensor) -> str:
+    """Why inlier matches do not determine the relative pose `model` (8); empty if they do."""
+    everything = torch.ones(1, len(views), dtype=torch.bool, device=model.device)
+    hessian = views.linearize(model[None], math.inf, everything).hessian[0]
+    _, centers = views.poses(model[None])
+    baseline = centers[0, 1] - centers[0, 0]
+    uncertainty = _sigma(hessian, views.pixel_sigma, 3) / float(baseline.norm())
+    if uncertainty <= MAX_UNCERTAINTY:
+        return ""
+    much = "by any amount" if math.isinf(uncertainty) else f"to {100.0 * uncertainty:.0f} % of the baseline"
+    return f"the position of the second camera is uncertain {much}: {_reason(views, model, centers[0])}"
+
+
+def explain_absolute(view: OneView, model: Tensor) -> str:
+    """Why inlier points do not determine the pose `model` (6); empty if they do."""
+    hessian = view.linearize(model[None], math.inf).hessian[0]
+    uncertainty = _sigma(hessian, view.pixel_sigma, 3) / float(model[5])
+    if uncertainty <= MAX_UNCERTAINTY:
+        return ""
+    much = "by any amount" if math.isinf(uncertainty) else f"to {100.0 * uncertainty:.0f} % of the camera's height"
+    return f"the position of the camera is uncertain {much}: the points lie too close together or on one vertical line"
+
+
+def _sigma(hessian: Tensor, pixel_sigma: float, last: int) -> float:
+    """Root of the summed variances of the last unknowns; infinite where the information is singular."""
+    scale = hessian.diagonal().clamp(min=torch.finfo(hessian.dtype).tiny).rsqrt()
+    factor, info = torch.linalg.cholesky_ex(hessian * scale[:, None] * scale)
+    if int(info) != 0:
+        return math.inf
+    variance = torch.cholesky_inverse(factor).diagonal() * scale.square()
+    return pixel_sigma * math.sqrt(float(variance[-last:].sum()))
+
+
+def _reason(views: TwoViews, model: Tensor, centers: Tensor) -> str:
+    """Which of the known cases it looks like."""
+    points = views.points(model[None])[0][:, :2]
+    middle, along = centers[:, :2].mean(dim=0), centers[1, :2] - centers[0, :2]
+    along = along / along.norm()
+    offset = points - middle
+    side = (offset[:, 0] * along[1] - offset[:, 1] * along[0]).square().mean().sqrt()
+    ahead = (offset @ along).square().mean().sqrt()
+    reach = NARROW * max(float(side), float(ahead))
+    level = abs(float(centers[1, 2] - centers[0, 2])) < NARROW * float(centers[:, 2].mean())
+    if float(side) < reach:
+        return "all points lie in the vertical plane through both cameras"
+    if level and float(ahead) < reach:
+        return "both cameras are equally high and all points lie in the plane that bisects their baseline"
+    return (
+        f"at an index ratio of {float(views.index_ratio):.4g} the water bends these rays too little to show where its "
+        "surface is"
+    )

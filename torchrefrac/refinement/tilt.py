@@ -1,0 +1,58 @@
+"""Rotations near a measured vertical, as a vector: cam_from_world = cam_from_level exp([t]x) R_z(heading).
+
+t = (t_x, t_y, 0) is the error of the measured vertical, a turn about a horizontal axis, in radians. A prior on gravity is
+one on the length of t, and t = 0 is what the solvers with known vertical find.
+"""
+
+import torch
+from torch import Tensor
+
+from torchrefrac.geometry import heading_rotation
+
+
+def tilted_rotation(cam_from_level: Tensor, tilt: Tensor, heading: Tensor) -> Tensor:
+    """cam_from_world (*B, 3, 3) of tilts (*B, 2) and headings (*B)."""
+    return cam_from_level @ (_exp(tilt) @ heading_rotation(heading))
+
+
+def tilt_and_heading(cam_from_level: Tensor, cam_from_world: Tensor) -> tuple[Tensor, Tensor]:
+    """Tilt (*B, 2) and heading (*B) of rotations (*B, 3, 3); inverts `tilted_rotation` for tilts below pi."""
+    level_from_world = cam_from_level.mT @ cam_from_world
+    x, y, z = level_from_world[..., 2].unbind(dim=-1)
+    length = torch.hypot(x, y)
+    scale = torch.where(length > 0.0, torch.atan2(length, z) / torch.where(length > 0.0, length, 1.0), 1.0)
+    tilt = scale[..., None] * torch.stack((-y, x), dim=-1)
+    turn = _exp(-tilt) @ level_from_world
+    return tilt, torch.atan2(turn[..., 1, 0], turn[..., 0, 0])
+
+
+def turn_by_tilt(tilt: Tensor, heading: Tensor) -> Tensor:
+    """Derivative (*B, 3, 3) of a turn about the axes of the world, R <- R exp([w]x), in (t_x, t_y, heading).
+
+    The right Jacobian of exp at t (Chirikjian, "Stochastic Models, Information Theory, and Lie Groups", vol. 2, 2012,
+    section 10.6), turned by the heading.
+    """
+    x, y = tilt.unbind(dim=-1)
+    angle_sq, sine, versine = _coefficients(x, y)
+    s = (1.0 - sine) / angle_sq.clamp(min=torch.finfo(x.dtype).tiny)
+    zero, one = torch.zeros_like(x), torch.ones_like(x)
+    mixed = s * x * y
+    rows = (1.0 - s * y * y, mixed, zero, mixed, 1.0 - s * x * x, zero, versine * y, -versine * x, one)
+    return heading_rotation(heading).mT @ torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+
+
+def _exp(tilt: Tensor) -> Tensor:
+    """Rodrigues' formula about a horizontal axis."""
+    x, y = tilt.unbind(dim=-1)
+    angle_sq, sine, versine = _coefficients(x, y)
+    mixed = versine * x * y
+    up, right = sine * y, sine * x
+    rows = (1.0 - versine * y * y, mixed, up, mixed, 1.0 - versine * x * x, -right, -up, right, 1.0 - versine * angle_sq)
+    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+
+
+def _coefficients(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Squared angle a^2, sin(a) / a and (1 - cos(a)) / a^2, smooth at zero."""
+    angle_sq = torch.addcmul(x * x, y, y)
+    turns = (angle_sq + torch.finfo(x.dtype).tiny).sqrt() / torch.pi  # never at the corner of the root
+    return angle_sq, torch.sinc(turns), 0.5 * torch.sinc(0.5 * turns).square()
