@@ -9,8 +9,9 @@ Degenerate: two points on one vertical line (2-point), all points on one vertica
 import torch
 from torch import Tensor
 
-from torchrefrac.minimal.rays import cross2, slopes
-from torchrefrac.numerics import least_squares_on_circle
+from torchrefrac.minimal.rank import determines
+from torchrefrac.minimal.rays import apparent_z, cross2, require_index, require_sights, require_weights, slopes
+from torchrefrac.numerics import least_squares_on_circle, like
 
 
 def absolute_pose_2pt(rays: Tensor, points: Tensor, index_ratio: Tensor | float) -> tuple[Tensor, Tensor, Tensor]:
@@ -19,8 +20,15 @@ def absolute_pose_2pt(rays: Tensor, points: Tensor, index_ratio: Tensor | float)
     Returns heading (*B, 2) in radians, center (*B, 2, 3) and valid (*B, 2): up to two solutions of
     alpha C + beta S + gamma = 0 with C^2 + S^2 = 1. Valid means: real, finite, camera above the water.
     """
-    if rays.shape[-2:] != (2, 3) or points.shape[-2:] != (2, 3):
-        raise ValueError(f"rays {tuple(rays.shape)} and points {tuple(points.shape)} must both be (*B, 2, 3)")
+    require_sights(rays, points, "the 2-point solver", 2)
+    require_index(index_ratio)
+    return unchecked_absolute_pose_2pt(rays, points, index_ratio)
+
+
+def unchecked_absolute_pose_2pt(
+    rays: Tensor, points: Tensor, index_ratio: Tensor | float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """`absolute_pose_2pt` of arguments that are known to be right."""
     m, x, y, const = _terms(rays, points, index_ratio)
     # Rows per point: x C + y' S + const + t_xy - m t_z = 0. The difference of the two points frees t_xy,
     # the direction across the difference of slopes frees t_z.
@@ -51,12 +59,12 @@ def absolute_pose_lsqi(
     """Least-squares pose from n >= 3 level rays (*B, n, 3) and world points (*B, n, 3).
 
     weights (*B, n), zero for a point that does not count. The translation leaves by QR; what remains is a
-    linear least-squares problem on the unit circle (LSQI). Returns heading (*B), center (*B, 3), valid (*B).
+    linear least-squares problem on the unit circle (LSQI). Returns heading (*B), center (*B, 3), valid (*B): both are
+    determined, the camera above the water.
     """
-    if rays.shape[-2:] != points.shape[-2:] or rays.shape[-1:] != (3,):
-        raise ValueError(f"rays {tuple(rays.shape)} and points {tuple(points.shape)} must both be (*B, n, 3)")
-    if rays.shape[-2] < 3:
-        raise ValueError(f"rays has {rays.shape[-2]} rays, but least squares needs at least 3")
+    require_sights(rays, points, "least squares", 3, or_more=True)
+    require_index(index_ratio)
+    require_weights(weights, rays)
     m, x, y, const = _terms(rays, points, index_ratio)
     unit = torch.eye(2, dtype=m.dtype, device=m.device).expand(*m.shape, 2)
     system = torch.cat((unit, -m[..., None], x[..., None], y[..., None], const[..., None]), dim=-1)
@@ -70,18 +78,15 @@ def absolute_pose_lsqi(
     translation, info = torch.linalg.solve_ex(head, -target)
     heading = torch.atan2(y_unit[..., 1], y_unit[..., 0])
     center = _center(heading, translation[..., 0])
-    valid = (info == 0) & center.isfinite().all(dim=-1) & (center[..., 2] > 0.0)
+    valid = determines(triangle, 3, 2) & (info == 0) & center.isfinite().all(dim=-1) & (center[..., 2] > 0.0)
     return heading, torch.where(valid[..., None], center, torch.ones_like(center)), valid
 
 
 def _terms(rays: Tensor, points: Tensor, index_ratio: Tensor | float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Slopes m and the coefficients (*B, n, 2) of C, of S and of 1 in the two equations of a point."""
-    index = torch.as_tensor(index_ratio, dtype=rays.dtype, device=rays.device)[..., None]
-    m, g = slopes(rays, index)
+    m, g = slopes(rays, like(index_ratio, rays)[..., None])
     px, py, pz = points.unbind(dim=-1)
-    wet = (pz < 0.0)[..., None]
-    constant = -m * pz[..., None] * torch.where(wet, 1.0 / g[..., None], 1.0)
-    return m, torch.stack((px, py), dim=-1), torch.stack((-py, px), dim=-1), constant
+    return m, torch.stack((px, py), dim=-1), torch.stack((-py, px), dim=-1), -m * apparent_z(pz, g)[..., None]
 
 
 def _center(heading: Tensor, translation: Tensor) -> Tensor:

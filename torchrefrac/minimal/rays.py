@@ -1,6 +1,14 @@
-"""What a level ray says about the water below it."""
+"""What level rays say about the water below them, and the checks of rays that users hand in."""
 
+import torch
 from torch import Tensor
+
+from torchrefrac.checks import require, require_floating
+from torchrefrac.geometry.triples import Triple
+from torchrefrac.numerics import like
+
+Slopes = tuple[Tensor, Tensor]
+"""Of rays: m in air and w in the water, each (*B, n, 2)."""
 
 
 def slopes(rays: Tensor, index_ratio: Tensor) -> tuple[Tensor, Tensor]:
@@ -14,14 +22,74 @@ def slopes(rays: Tensor, index_ratio: Tensor) -> tuple[Tensor, Tensor]:
     return slope, (n_sq + (n_sq - 1.0) * slope.square().sum(dim=-1)).sqrt()
 
 
-def require_pairs(rays1: Tensor, rays2: Tensor, count: int, words: str) -> None:
-    """Refuse anything but two batches (*B, count, 3) of finite rays; `words` name the solver."""
-    if rays1.shape != rays2.shape or rays1.shape[-1:] != (3,):
-        raise ValueError(f"rays1 {tuple(rays1.shape)} and rays2 {tuple(rays2.shape)} must both be (*B, {count}, 3)")
-    if rays1.shape[-2] != count:
-        raise ValueError(f"rays1 has {rays1.shape[-2]} rays, but the {words} takes exactly {count}")
+def bent(rays: Tensor, index_ratio: Tensor | float) -> Slopes:
+    """Slopes of rays (*B, n, 3) on both sides of the surface, for an index ratio (*B) or a number."""
+    m, g = slopes(rays, like(index_ratio, rays)[..., None])
+    return m, m / g[..., None]
+
+
+def apparent_z(z: Tensor, g: Tensor) -> Tensor:
+    """The z at which a point at `z` is seen along its ray in air: z / g in the water, z itself in air."""
+    return torch.where(z < 0.0, z / g, z)
+
+
+def meet_below(heading: Tensor, center: Triple, first: Slopes, second: Slopes) -> Tensor:
+    """Whether all n rays of a camera at (0, 0, 1), heading 0, meet below the surface those of R others (*B, R).
+
+    heading and the components of the centre (*B, R). The rays enter the water at q_k = c_k - c_kz m_k and pass each
+    other at the depth (q_1 - q_2) . (w_1 - w_2) / |w_1 - w_2|^2.
+    """
+    c, s = heading.cos()[..., None, :], heading.sin()[..., None, :]
+    (m1x, m1y), (w1x, w1y) = (part[..., None, :].unbind(dim=-1) for part in first)
+    (m2x, m2y), (w2x, w2y) = (part[..., None, :].unbind(dim=-1) for part in second)
+    x, y, z = (part[..., None, :] for part in center)
+    along_x = (z * (c * m2x + s * m2y) - x - m1x) * (w1x - c * w2x - s * w2y)
+    along_y = (z * (c * m2y - s * m2x) - y - m1y) * (w1y - c * w2y + s * w2x)
+    return (along_x + along_y > 0.0).all(dim=-2)
+
+
+def look_down(rays1: Tensor, rays2: Tensor) -> Tensor:
+    """Whether all rays (*B, n, 3) of both cameras go down to the water (*B)."""
+    return ((rays1[..., 2] < 0.0) & (rays2[..., 2] < 0.0)).all(dim=-1)
 
 
 def cross2(a: Tensor, b: Tensor) -> Tensor:
     """Two-dimensional cross product (*B) of (*B, 2) and (*B, 2)."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def require_pairs(rays1: Tensor, rays2: Tensor, solver: str, count: int, *, or_more: bool = False) -> None:
+    """Refuse anything but two batches (*B, count, 3) of finite rays, or of more of them."""
+    _require(solver, count, or_more, rays1=rays1, rays2=rays2)
+
+
+def require_sights(rays: Tensor, points: Tensor, solver: str, count: int, *, or_more: bool = False) -> None:
+    """Refuse anything but batches (*B, count, 3) of finite rays and points, or of more of them."""
+    _require(solver, count, or_more, rays=rays, points=points)
+
+
+def require_index(index_ratio: Tensor | float) -> None:
+    require(index_ratio, "index_ratio", at_least=1.0)
+
+
+def require_weights(weights: Tensor | None, rays: Tensor) -> None:
+    """Refuse weights that are not one a ray, finite and at least zero."""
+    if weights is None:
+        return
+    if weights.shape != rays.shape[:-1]:
+        raise ValueError(f"weights has shape {tuple(weights.shape)}, but must be {tuple(rays.shape[:-1])}, one a ray")
+    require(weights, "weights", at_least=0.0)
+
+
+def _require(solver: str, count: int, or_more: bool, **batches: Tensor) -> None:
+    (name, first), (other, second) = batches.items()
+    if first.shape != second.shape or first.dim() < 2 or first.shape[-1] != 3:
+        wanted = f"(*B, {'n' if or_more else count}, 3)"
+        raise ValueError(f"{name} {tuple(first.shape)} and {other} {tuple(second.shape)} must both be {wanted}")
+    given = first.shape[-2]
+    if given < count or (given > count and not or_more):
+        wanted = f"needs at least {count}" if or_more else f"takes exactly {count}"
+        raise ValueError(f"{name} has {given} rays, but {solver} {wanted}")
+    for label, batch in batches.items():
+        require_floating(batch, label)
+        require(batch, label)

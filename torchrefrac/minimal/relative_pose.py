@@ -13,17 +13,36 @@ water surface and with it the scale cannot be seen.
 import torch
 from torch import Tensor
 
-from torchrefrac.minimal.rays import cross2, slopes
-from torchrefrac.numerics import smallest_eigenvector_2x2
+from torchrefrac.checks import require
+from torchrefrac.minimal.rank import determines
+from torchrefrac.minimal.rays import (
+    Slopes,
+    bent,
+    cross2,
+    look_down,
+    meet_below,
+    require_index,
+    require_pairs,
+    require_weights,
+)
+from torchrefrac.numerics import like, smallest_eigenvector_2x2
 
 
 def relative_pose_7pt(
     rays1: Tensor, rays2: Tensor, index_ratio: Tensor | float, height: Tensor | float = 1.0
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Pose of the second camera from 7 pairs of level rays (*B, 7, 3); see `relative_pose_npt`."""
-    if rays1.shape[-2] != 7:
-        raise ValueError(f"rays1 has {rays1.shape[-2]} rays, but the 7-point solver takes exactly 7")
-    return relative_pose_npt(rays1, rays2, index_ratio, height)
+    """Pose of the second camera from 7 pairs of level rays (*B, 7, 3); see `relative_pose_npt`.
+
+    Seven pairs are solved exactly, so that valid means besides: all rays go down, all seven points lie below the water.
+    """
+    require_pairs(rays1, rays2, "the 7-point solver", 7)
+    require_index(index_ratio)
+    require(height, "height", above=0.0)
+    first, second = bent(rays1, index_ratio), bent(rays2, index_ratio)
+    heading, center, valid = _solve(_rows(first, second))
+    x, y, z = center.unbind(dim=-1)
+    valid = valid & look_down(rays1, rays2)[..., None] & meet_below(heading, (x, y, z), first, second)
+    return heading, _scaled(center, valid, like(height, rays1)), valid
 
 
 def relative_pose_npt(
@@ -39,42 +58,28 @@ def relative_pose_npt(
     camera and sets the scale; weights (*B, n), zero for a pair that does not count.
     Minimises |E x| with C^2 + S^2 = 1: the last six unknowns leave by QR, a 2x2 eigenproblem remains.
     Returns heading (*B, 2) in radians, center (*B, 2, 3) and valid (*B, 2) of the two candidates x and -x, the
-    consistent one first. Valid means: finite, second camera above the water.
+    consistent one first. Valid means: determined, second camera above the water. With noise some rays of a right pose
+    meet above the surface or nowhere, so that no pair is asked where it meets.
     """
-    if rays1.shape != rays2.shape or rays1.shape[-1:] != (3,):
-        raise ValueError(f"rays1 {tuple(rays1.shape)} and rays2 {tuple(rays2.shape)} must both be (*B, n, 3)")
-    if rays1.shape[-2] < 7:
-        raise ValueError(f"rays1 has {rays1.shape[-2]} rays, but the linear solver needs at least 7")
-    index = torch.as_tensor(index_ratio, dtype=rays1.dtype, device=rays1.device)[..., None]
-    scale = torch.as_tensor(height, dtype=rays1.dtype, device=rays1.device)
-    rows = _rows(rays1, rays2, index)
-    if weights is not None:
-        rows = rows * weights[..., None]
-    return _solve(rows, scale)
+    require_pairs(rays1, rays2, "the linear solver", 7, or_more=True)
+    require_index(index_ratio)
+    require(height, "height", above=0.0)
+    require_weights(weights, rays1)
+    rows = _rows(bent(rays1, index_ratio), bent(rays2, index_ratio))
+    heading, center, valid = _solve(rows if weights is None else rows * weights[..., None])
+    return heading, _scaled(center, valid, like(height, rays1)), valid
 
 
-def _rows(rays1: Tensor, rays2: Tensor, index: Tensor) -> Tensor:
+def _rows(first: Slopes, second: Slopes) -> Tensor:
     """The equations e (*B, n, 8), for a first camera at height 1."""
-    m1, g1 = slopes(rays1, index)
-    m2, g2 = slopes(rays2, index)
-    in_water = m1 / g1[..., None]
-    n2 = torch.stack((m2[..., 1], -m2[..., 0]), dim=-1)
-    return torch.stack(
-        (
-            cross2(m2, m1) / g2,
-            cross2(n2, m1) / g2,
-            cross2(in_water, m2),
-            cross2(in_water, n2),
-            -m2[..., 1] / g2,
-            m2[..., 0] / g2,
-            in_water[..., 1],
-            -in_water[..., 0],
-        ),
-        dim=-1,
-    )
+    (m1, w1), (m2, w2) = first, second
+    n2, v2 = (torch.stack((part[..., 1], -part[..., 0]), dim=-1) for part in second)
+    turned = (cross2(w2, m1), cross2(v2, m1), cross2(w1, m2), cross2(w1, n2))
+    return torch.stack((*turned, -w2[..., 1], w2[..., 0], w1[..., 1], -w1[..., 0]), dim=-1)
 
 
-def _solve(rows: Tensor, scale: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _solve(rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Heading, centre and validity of both candidates, for a first camera at height 1."""
     triangle = torch.linalg.qr(torch.cat((rows[..., 2:], rows[..., :2]), dim=-1), mode="r").R
     if triangle.shape[-2] < 8:
         triangle = torch.nn.functional.pad(triangle, (0, 0, 0, 8 - triangle.shape[-2]))
@@ -91,7 +96,11 @@ def _solve(rows: Tensor, scale: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     heading = torch.atan2(sign * s, sign * c)
     horizontal = 0.5 * torch.stack((turned + sign[..., None] * direct, turned - sign[..., None] * direct), dim=-2)
     vertical = center_z[..., None, None].expand(*horizontal.shape[:-1], 1)
-    center = torch.cat((horizontal, vertical), dim=-1) * scale[..., None, None]
-    valid = (info == 0)[..., None] & center.isfinite().all(dim=-1) & (center[..., 2] > 0.0)
-    center = torch.where(valid[..., None], center, torch.ones_like(center))
+    center = torch.cat((horizontal, vertical), dim=-1)
+    determined = determines(triangle, 6, 2) & (info == 0)
+    valid = determined[..., None] & center.isfinite().all(dim=-1) & (center[..., 2] > 0.0)
     return torch.stack((heading, heading + torch.pi), dim=-1), center, valid
+
+
+def _scaled(center: Tensor, valid: Tensor, height: Tensor) -> Tensor:
+    return torch.where(valid[..., None], center * height[..., None, None], 1.0)

@@ -1,6 +1,7 @@
 """Determinant and adjugate of batches of 4x4 matrices, from the 2x2 minors of the two upper and of the two lower rows.
 
-Matrices are (4, 4, *B): with the batch last every step runs along contiguous memory, ten times faster than `torch.linalg`.
+Matrices are (4, 4, *B): with the batch last every step runs along contiguous memory, ten times faster than
+`torch.linalg`.
 """
 
 from itertools import combinations
@@ -21,7 +22,7 @@ def determinant_4x4(matrix: Tensor) -> Tensor:
 
 
 def adjugate_4x4(matrix: Tensor) -> Tensor:
-    """(4, 4, *B) with A adj(A) = det(A) I; of a singular matrix of rank 3 its columns are multiples of the null vector."""
+    """(4, 4, *B) with A adj(A) = det(A) I; at rank 3 its columns are multiples of the null vector."""
     parts = torch.cat((*_minors(matrix), matrix.flatten(0, 1)))
     terms = parts[ENTRY] * parts[MINOR] * _along(SIGN, parts)
     return terms.unflatten(0, (16, 3)).sum(dim=1).unflatten(0, (4, 4))

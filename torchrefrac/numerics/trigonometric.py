@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 NODES_PER_DEGREE = 32
-POLISHES = 4
+POLISHES = 3
 
 
 def fourier_coefficients(samples: Tensor) -> Tensor:
@@ -29,37 +29,44 @@ def roots_on_circle(coefficients: Tensor) -> tuple[Tensor, Tensor]:
     """
     degree = (coefficients.shape[-1] - 1) // 2
     start = _grid(NODES_PER_DEGREE * degree, coefficients)
-    width = 2.0 * math.pi / len(start)
     derivative = _slope(coefficients)
     basis = _basis(start, degree).T
-    below, falling = coefficients @ basis < 0.0, derivative @ basis < 0.0
-    _, cell = _changes(falling, 2 * degree)
-    extremum = _polish(derivative, start[cell], start[cell] + width, falling.gather(-1, cell))
-    middle = start.expand_as(below).scatter(-1, cell, extremum)
-    middle_below = below.scatter(-1, cell, (_basis(extremum, degree) @ coefficients[..., None])[..., 0] < 0.0)
+    value, slope = coefficients @ basis, derivative @ basis
+    _, cell = _changes(slope, 2 * degree)
+    width = 2.0 * math.pi / len(start)
+    extremum = _polish(derivative, start[cell], start[cell] + width, *_ends(slope, cell))
+    middle = start.expand_as(value).scatter(-1, cell, extremum)
+    middle_value = value.scatter(-1, cell, (_basis(extremum, degree) @ coefficients[..., None])[..., 0])
     node = torch.stack((start.expand_as(middle), middle), dim=-1).flatten(-2)
-    below = torch.stack((below, middle_below), dim=-1).flatten(-2)
-    found, at = _changes(below, 2 * degree)
-    end = torch.where(at + 1 < node.shape[-1], node.gather(-1, (at + 1) % node.shape[-1]), 2.0 * math.pi)
-    return _polish(coefficients, node.gather(-1, at), end, below.gather(-1, at)), found
+    value = torch.stack((value, middle_value), dim=-1).flatten(-2)
+    found, at = _changes(value, 2 * degree)
+    left, right = _ends(node, at)
+    return _polish(coefficients, left, torch.where(right < left, 2.0 * math.pi, right), *_ends(value, at)), found
 
 
-def _changes(sign: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Up to `count` places (*B, count) where the next sign of (*B, N) is another, and which of them are such."""
-    found, at = (sign != sign.roll(-1, dims=-1)).to(torch.uint8).topk(count, dim=-1)
+def _changes(value: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Up to `count` places (*B, count) where the next of the values (*B, N) has another sign, and which are such."""
+    below = value < 0.0
+    found, at = (below != below.roll(-1, dims=-1)).to(torch.uint8).topk(count, dim=-1)
     return found > 0, at
 
 
-def _polish(coefficients: Tensor, left: Tensor, right: Tensor, below: Tensor) -> Tensor:
+def _ends(value: Tensor, at: Tensor) -> tuple[Tensor, Tensor]:
+    """Values (*B, count) at the places `at` of (*B, N) and at those that follow, the first after the last."""
+    return value.gather(-1, at), value.gather(-1, (at + 1) % value.shape[-1])
+
+
+def _polish(coefficients: Tensor, left: Tensor, right: Tensor, at_left: Tensor, at_right: Tensor) -> Tensor:
     """Steps to the root of the parabola that touches f, cubically convergent and at home beside an extremum.
 
-    It starts in the middle of the bracket; a step that leaves the shrinking bracket halves it instead. below: whether
-    f is negative at the left end.
+    They start from the end of the bracket where f, given there, is smaller: beside an extremum that is where the root
+    is. A step that leaves the shrinking bracket halves it instead.
     """
     degree = (coefficients.shape[-1] - 1) // 2
     derivative = _slope(coefficients)
     jet = torch.stack((coefficients, derivative, _slope(derivative)), dim=-1)
-    x = 0.5 * (left + right)
+    below = at_left < 0.0
+    x = torch.where(at_left.abs() < at_right.abs(), left, right)
     for _ in range(POLISHES):
         value, slope, bend = (_basis(x, degree) @ jet).unbind(dim=-1)
         before = (value < 0.0) == below

@@ -21,6 +21,16 @@ def tilted_samples(gravity_sigma: float, focal: Tensor) -> float:
     return 1.0 + (gravity_sigma * float(focal.mean()) / TILT_PX) ** 2
 
 
+def tightened(squared_errors: Tensor, max_error: float) -> float:
+    """Four robust standard deviations of the errors within max_error, at most max_error: a limit for the last fit.
+
+    The standard deviation is 1.4826 times the median of what lies within, as for noise without outliers.
+    """
+    within = torch.where(squared_errors < max_error * max_error, squared_errors, torch.nan)
+    sigma = 1.4826 * float(torch.nanmedian(within).sqrt())
+    return min(max_error, 4.0 * sigma) if sigma > 0.0 else max_error
+
+
 def require_data(plane: Tensor, **others: Tensor) -> None:
     """Refuse image coordinates that are not (N, 2), what does not belong to as many matches, and NaN."""
     if plane.dim() != 2 or plane.shape[-1] != 2:

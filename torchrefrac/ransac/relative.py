@@ -6,7 +6,7 @@ from torch import Tensor
 from torchrefrac.minimal.known_heading import unchecked_relative_pose_3pt
 from torchrefrac.minimal.relative_pose_4pt import unchecked_relative_pose_4pt
 from torchrefrac.ransac.degeneracy import explain_relative
-from torchrefrac.ransac.rays import level_rays, require_data, tilted_samples
+from torchrefrac.ransac.rays import level_rays, require_data, tightened, tilted_samples
 from torchrefrac.refinement import TwoViews
 
 
@@ -58,7 +58,12 @@ class RelativePoseEstimator:
         views, stages = (self.views, THOROUGH) if rows is None else (self.views.rows(rows), QUICK)
         for widened, iterations in stages:
             models = views.refine(models, widened * max_error, iterations).states
+        if rows is None:
+            models = views.refine(models, self._noise_limit(models, max_error), TIGHTENED).states
         return models, views.costs(models, max_error)
+
+    def _noise_limit(self, models: Tensor, max_error: float) -> float:
+        return tightened(self.squared_errors(models, None), max_error)
 
     def degeneracy(self, model: Tensor, inliers: Tensor) -> str:
         return explain_relative(self.views.rows(inliers), model)
@@ -67,3 +72,4 @@ class RelativePoseEstimator:
 QUICK = ((2.0, 3), (1.0, 3))
 THOROUGH = ((1.0, 12),)
 """Stages of the optimisation: how far max_error is widened, and the iterations."""
+TIGHTENED = 6

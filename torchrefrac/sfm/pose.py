@@ -18,12 +18,12 @@ class Pose:
 
 @dataclass(frozen=True)
 class PairPose:
-    """Two cameras in a frame of their own: rotation (2, 3, 3), center (2, 3), inliers (N), points (N, 3)."""
+    """Two cameras in a frame of their own: rotation (2, 3, 3), center (2, 3); inliers (N), and the median angle (radians)
+    between their rays. Without a pose where the inliers agree on one but do not determine it."""
 
-    rotation: Tensor
-    center: Tensor
+    rotation: Tensor | None
+    center: Tensor | None
     inliers: Tensor
-    points: Tensor
     median_angle: float
 
 

@@ -1,23 +1,24 @@
-"""Poses through the water with known verticals (paper, section 3.4)."""
+"""Poses through the water with measured verticals (paper, section 3.4)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from torchrefrac.bundle import GravityPrior
-from torchrefrac.geometry import heading_rotation, level_rotation
-from torchrefrac.ransac import AbsolutePoseEstimator, RansacOptions, RelativePoseEstimator, ransac
+from torchrefrac.camera import RefractiveCamera
+from torchrefrac.geometry import level_rotation
+from torchrefrac.ransac import AbsolutePoseEstimator, RelativePoseEstimator, ransac
+from torchrefrac.refinement import OneView, TwoViews
+from torchrefrac.refraction import FlatInterface
 from torchrefrac.scene import Capture
-from torchrefrac.sfm.one_view import refine_pose
 from torchrefrac.sfm.options import SfmOptions
 from torchrefrac.sfm.pose import PairPose, Pose
-from torchrefrac.sfm.two_view import refine_pair
+from torchrefrac.sfm.rays import opening_angle
 
 
 @dataclass(frozen=True)
 class RefractiveInitializer:
-    """RANSAC over the known-vertical solvers with gravity taken for exact, then refinement with gravity as a prior."""
+    """LO-MSAC over the solvers with known vertical; the optimisation in it has gravity as a prior."""
 
     capture: Capture
     index_ratio: Tensor
@@ -27,50 +28,39 @@ class RefractiveInitializer:
         self, images: tuple[int, int], pixels: tuple[Tensor, Tensor], generator: torch.Generator
     ) -> PairPose | None:
         intrinsics = self.capture.intrinsics
-        down = self.capture.down_in_cam[list(images)]
-        cam_from_level = level_rotation(down)
-        plane1, plane2 = (intrinsics.plane_from_pixels(p) for p in pixels)
-        estimator = RelativePoseEstimator(
-            plane1, plane2, cam_from_level[0], cam_from_level[1], intrinsics.focal, self.index_ratio
+        views = TwoViews(
+            *(intrinsics.plane_from_pixels(p) for p in pixels),
+            cam_from_level=level_rotation(self.capture.down_in_cam[list(images)]),
+            focal=intrinsics.focal,
+            index_ratio=self.index_ratio,
+            gravity_sigma=self.capture.down_sigma,
+            pixel_sigma=self.options.bundle.pixel_sigma,
         )
-        report = ransac(estimator, self._loose(), generator)
+        report = ransac(RelativePoseEstimator(views), self.options.ransac, generator)
+        if report.status == "degenerate":
+            return PairPose(None, None, report.inliers, 0.0)
         if report.status != "success":
             return None
-        heading = torch.stack((torch.zeros_like(report.model[0]), report.model[0]))
-        first = report.model.new_tensor((0.0, 0.0, estimator.height))
-        return refine_pair(
-            cam_from_level @ heading_rotation(heading),
-            torch.stack((first, report.model[1:])),
-            pixels,
-            report.inliers,
-            intrinsics,
-            self.index_ratio,
-            self.options.bundle,
-            self.options.ransac.max_error,
-            GravityPrior(down, self.capture.down_sigma),
-        )
+        rotation, center = (part[0] for part in views.poses(report.model[None]))
+        camera = RefractiveCamera(intrinsics, rotation, center, FlatInterface(self.index_ratio), check=False)
+        points = views.points(report.model[None])[0][report.inliers]
+        both = torch.stack(pixels, dim=1)[report.inliers]
+        present = torch.ones(both.shape[:2], dtype=torch.bool)
+        return PairPose(rotation, center, report.inliers, float(opening_angle(camera, both, present, points).median()))
 
     def absolute(self, image: int, pixels: Tensor, points: Tensor, generator: torch.Generator) -> Pose | None:
         intrinsics = self.capture.intrinsics
-        down = self.capture.down_in_cam[image]
-        cam_from_level = level_rotation(down)
-        plane = intrinsics.plane_from_pixels(pixels)
-        estimator = AbsolutePoseEstimator(plane, points, cam_from_level, intrinsics.focal, self.index_ratio)
-        report = ransac(estimator, self._loose(), generator)
+        view = OneView(
+            intrinsics.plane_from_pixels(pixels),
+            points,
+            cam_from_level=level_rotation(self.capture.down_in_cam[image]),
+            focal=intrinsics.focal,
+            index_ratio=self.index_ratio,
+            gravity_sigma=self.capture.down_sigma,
+            pixel_sigma=self.options.bundle.pixel_sigma,
+        )
+        report = ransac(AbsolutePoseEstimator(view), self.options.ransac, generator)
         if report.status != "success":
             return None
-        rotation = cam_from_level @ heading_rotation(report.model[0])
-        return refine_pose(
-            Pose(rotation, report.model[1:], report.inliers),
-            pixels,
-            points,
-            intrinsics,
-            self.index_ratio,
-            self.options,
-            GravityPrior(down[None], self.capture.down_sigma),
-        )
-
-    def _loose(self) -> RansacOptions:
-        """A threshold that an exact pose with gravity off by two sigma still meets."""
-        blur = float(self.capture.intrinsics.focal.mean()) * self.capture.down_sigma * 2.0
-        return replace(self.options.ransac, max_error=self.options.ransac.max_error + blur)
+        rotation, center = (part[0] for part in view.poses(report.model[None]))
+        return Pose(rotation, center, report.inliers)

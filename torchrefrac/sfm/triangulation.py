@@ -5,6 +5,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from torchrefrac.refinement import refine_points
 from torchrefrac.sfm.model import SparseModel, pad_by_track
 from torchrefrac.sfm.options import SfmOptions
 from torchrefrac.sfm.rays import triangulate_rays
@@ -16,7 +17,8 @@ def triangulate_tracks(model: SparseModel, options: SfmOptions) -> SparseModel:
     """Triangulate every track that has no point yet.
 
     A point is accepted when all its observations reproject within max_error and its rays open by min_angle_deg.
-    While it fails, its worst observation is set aside, up to three times and down to two.
+    While it fails, its worst observation is set aside, up to three times and down to two. Accepted points then
+    move to where they reproject best.
     """
     rows = (model.visible() & ~model.has_point[model.tracks.track]).nonzero()[:, 0]
     ids, table, present = pad_by_track(model.tracks, rows)
@@ -45,7 +47,18 @@ def triangulate_tracks(model: SparseModel, options: SfmOptions) -> SparseModel:
         present[lines[failing], error[failing].argmax(dim=-1)] = False
         pending[:] = False
         pending[lines[failing]] = present[lines[failing]].sum(dim=-1) >= 2
-    return replace(model, points=points, has_point=has_point, active=active)
+    new = has_point & ~model.has_point
+    return _polish(replace(model, points=points, has_point=has_point, active=active), new, options)
+
+
+def _polish(model: SparseModel, new: Tensor, options: SfmOptions) -> SparseModel:
+    """The points `new` (T) at the least reprojection error of their active observations."""
+    rows = (model.active & new[model.tracks.track]).nonzero()[:, 0]
+    ids, point = torch.unique_consecutive(model.tracks.track[rows], return_inverse=True)
+    cameras, pixels = model.cameras(model.tracks.image[rows]), model.tracks.pixels[rows]
+    bundle = options.bundle
+    estimate = refine_points(cameras, pixels, point, model.points[ids], bundle.pixel_sigma, bundle.loss_scale)
+    return replace(model, points=model.points.index_copy(0, ids, estimate.points))
 
 
 def _errors(projection: tuple[Tensor, Tensor], pixels: Tensor, present: Tensor) -> Tensor:

@@ -59,7 +59,7 @@ def refine_pair(
         if int(inliers.sum()) < MIN_INLIERS:
             break
     median = float(angle[inliers].median()) if bool(inliers.any()) else 0.0
-    return PairPose(rotation, center, inliers, points, median)
+    return PairPose(rotation, center, inliers, median)
 
 
 def _thin(rows: Tensor) -> Tensor:

@@ -1,0 +1,122 @@
+"""Poses of cameras whose vertical and heading are both known: only the centre is left, and it enters linearly.
+
+Turned by the heading, a ray has the slopes m in air and w = m / g in the water (see `rays.slopes`).
+Relative: two rays meet where (q_1 - q_2) x (w_1 - w_2) = 0 (x: 2D cross product), with q_1 = -h m_1 and
+q_2 = c_xy - c_z m_2 the places where they enter the water: one linear equation in c a pair.
+Absolute: a point obeys c_xy - c_z m = p_xy - m z, with z = p_z / g under water and z = p_z in air (Chang & Chen,
+ICCV 2011, Eq. 9): two equations a point. Subtracting the means over the points leaves c_z alone.
+Degenerate: as in `relative_pose`; all points on one ray.
+"""
+
+import torch
+from torch import Tensor
+
+from torchrefrac.checks import require, require_broadcasting
+from torchrefrac.minimal.rank import ROUNDING
+from torchrefrac.minimal.rays import (
+    apparent_z,
+    bent,
+    cross2,
+    look_down,
+    meet_below,
+    require_index,
+    require_pairs,
+    require_sights,
+    require_weights,
+    slopes,
+)
+from torchrefrac.numerics import like
+
+
+def relative_pose_3pt(
+    rays1: Tensor,
+    rays2: Tensor,
+    heading: Tensor | float,
+    index_ratio: Tensor | float,
+    height: Tensor | float = 1.0,
+) -> tuple[Tensor, Tensor]:
+    """Centre of the second camera from 3 pairs of level rays (*B, 3, 3) and its heading (*B) relative to the first.
+
+    The first camera stands at (0, 0, height). Returns center (*B, 3) and valid (*B): the centre is determined and
+    above the water, all rays go down and all three points lie below the surface.
+    """
+    require_pairs(rays1, rays2, "the 3-point solver", 3)
+    require_broadcasting(heading=like(heading, rays1).shape, rays=rays1.shape[:-2])
+    require(heading, "heading")
+    require_index(index_ratio)
+    require(height, "height", above=0.0)
+    return unchecked_relative_pose_3pt(rays1, rays2, heading, index_ratio, height)
+
+
+def unchecked_relative_pose_3pt(
+    rays1: Tensor,
+    rays2: Tensor,
+    heading: Tensor | float,
+    index_ratio: Tensor | float,
+    height: Tensor | float = 1.0,
+) -> tuple[Tensor, Tensor]:
+    """`relative_pose_3pt` of arguments that are known to be right."""
+    m1, w1 = bent(rays1, index_ratio)
+    m2, w2 = (_turned(level, like(heading, rays2)) for level in bent(rays2, index_ratio))
+    d = w1 - w2
+    rows = torch.stack((-d[..., 1], d[..., 0], cross2(m2, d)), dim=-1)
+    cofactors = torch.linalg.cross(rows.roll(-1, dims=-2), rows.roll(-2, dims=-2), dim=-1)
+    determinant = (rows * cofactors)[..., 0, :].sum(dim=-1)
+    center = (cross2(m1, d)[..., None] * cofactors).sum(dim=-2) / determinant[..., None]
+    size = rows.norm(dim=-1).prod(dim=-1)
+    valid = (determinant.abs() > ROUNDING * torch.finfo(rows.dtype).eps * size) & look_down(rays1, rays2)
+    x, y, z = center[..., None].unbind(dim=-2)
+    below = meet_below(torch.zeros_like(x), (x, y, z), (m1, w1), (m2, w2))[..., 0]
+    valid = valid & below & (center[..., 2] > 0.0) & center.isfinite().all(dim=-1)
+    return torch.where(valid[..., None], center * like(height, rays1)[..., None], 1.0), valid
+
+
+def absolute_pose_known_heading(
+    rays: Tensor,
+    points: Tensor,
+    heading: Tensor | float,
+    index_ratio: Tensor | float,
+    weights: Tensor | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Least-squares centre of a camera with heading (*B) from n >= 2 level rays and world points (*B, n, 3).
+
+    Points may lie in the water and on land. weights (*B, n), zero for a point that does not count. Returns center
+    (*B, 3) and valid (*B): the centre is determined and above the water; no single point decides.
+    """
+    require_sights(rays, points, "the solver", 2, or_more=True)
+    require_broadcasting(heading=like(heading, rays).shape, rays=rays.shape[:-2])
+    require(heading, "heading")
+    require_index(index_ratio)
+    require_weights(weights, rays)
+    return unchecked_absolute_pose_known_heading(rays, points, heading, index_ratio, weights)
+
+
+def unchecked_absolute_pose_known_heading(
+    rays: Tensor,
+    points: Tensor,
+    heading: Tensor | float,
+    index_ratio: Tensor | float,
+    weights: Tensor | None = None,
+) -> tuple[Tensor, Tensor]:
+    """`absolute_pose_known_heading` of arguments that are known to be right."""
+    level, g = slopes(rays, like(index_ratio, rays)[..., None])
+    m = _turned(level, like(heading, rays))
+    target = points[..., :2] - m * apparent_z(points[..., 2], g)[..., None]
+    share = torch.ones_like(g) if weights is None else weights.square()
+    share = (share / share.sum(dim=-1, keepdim=True))[..., None]
+    mean_m, mean_target = (share * m).sum(dim=-2), (share * target).sum(dim=-2)
+    aside = m - mean_m[..., None, :]
+    spread = (share * aside.square()).sum(dim=(-2, -1))
+    center_z = -(share * aside * (target - mean_target[..., None, :])).sum(dim=(-2, -1)) / spread
+    center = torch.cat((mean_target + mean_m * center_z[..., None], center_z[..., None]), dim=-1)
+    rounding = ROUNDING * torch.finfo(rays.dtype).eps
+    valid = (spread > rounding**2 * (share * m.square()).sum(dim=(-2, -1))) & (center_z > 0.0)
+    valid = valid & center.isfinite().all(dim=-1)
+    return torch.where(valid[..., None], center, 1.0), valid
+
+
+def _turned(level: Tensor, heading: Tensor) -> Tensor:
+    """Level vectors (*B, n, 2) in the axes of the world."""
+    c, s = heading.cos()[..., None], heading.sin()[..., None]
+    x, y = level.unbind(dim=-1)
+    return torch.stack((c * x + s * y, c * y - s * x), dim=-1)

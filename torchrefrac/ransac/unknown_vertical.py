@@ -1,0 +1,232 @@
+"""Relative pose of two cameras above water when nobody measured which way is down: the water itself shows it.
+
+With both verticals known the pose follows linearly from the matches (Chang & Chen, ICCV 2011, section 3.4.1). Without
+them two of the four tilts go to a pinhole relative pose: its rotation R_21 is a few degrees off through water, but takes
+a vertical of the first camera to one of the second, so that two angles are left to try. Each direction of a grid over
+the cap of CAP_DEG about the optical axis gives one linear pose; the best by their refractive epipolar errors are refined
+in all eight unknowns (see `TwoViews`, gravity_sigma infinite), and the search is repeated with the rotation and the
+inliers that came out, because a pinhole agrees only with a part of the right matches.
+
+How well a vertical is determined follows from the Hessian, and from the other poses that explain the matches as well.
+Fails where refraction is weak: the index near 1, or rays near the vertical only, so that any plane does.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrefrac.checks import require
+from torchrefrac.geometry import heading_rotation, level_rotation, rotate
+from torchrefrac.minimal import relative_pose_npt
+from torchrefrac.ransac.rays import require_data
+from torchrefrac.refinement import TwoViews, tilt_and_heading
+
+CAP_DEG, SPACING_DEG = 75.0, 9.0
+ROUNDS = 3
+SOLVED, SCORED, JUDGED = 300, 200, 400
+LEADERS, FINALISTS = 24, 6
+ON_CONSENSUS, ON_ALL, TO_THE_END = ((3.0, 8), (1.0, 8)), ((3.0, 6), (1.0, 6)), ((1.0, 20),)
+"""Stages of a refinement: how far max_error is widened, and the iterations."""
+AS_GOOD = 9.0
+CHANCE_FACTOR = 3.0
+MAX_SIGMA_DEG = 5.0
+UNKNOWNS = 8
+
+Status = Literal["success", "no_consensus", "degenerate"]
+
+
+@dataclass(frozen=True)
+class UnknownVertical:
+    """rotation (2, 3, 3) cam_from_world and center (2, 3) of cameras of which the first stands at (0, 0, 1) with
+    heading 0; inliers (N); down_in_cam (2, 3), and sigma (2): the root-mean-square angle in radians by which each is off.
+
+    A failure keeps what was found; without a consensus that is nothing and sigma is infinite. `detail` says why.
+    """
+
+    status: Status
+    rotation: Tensor
+    center: Tensor
+    inliers: Tensor
+    down_in_cam: Tensor
+    sigma: Tensor
+    detail: str = ""
+
+
+def find_verticals(
+    plane1: Tensor,
+    plane2: Tensor,
+    focal: Tensor,
+    index_ratio: Tensor | float,
+    max_error: float = 4.0,
+    min_inliers: int = 20,
+) -> UnknownVertical:
+    """Pose and verticals of two cameras from matches: ideal image coordinates plane1, plane2 (N, 2), focal (2) in pixels.
+
+    A match is an inlier within max_error pixels. Deterministic. "no_consensus": fewer than min_inliers agree, or
+    hardly more than among matches that are shuffled; "degenerate": sigma above MAX_SIGMA_DEG.
+    """
+    require_data(plane1, plane2=plane2)
+    require(index_ratio, "index_ratio", above=1.0)
+    require(max_error, "max_error", above=0.0)
+    start = _pinhole(plane1, plane2, max_error / float(focal.mean())) if len(plane1) >= min_inliers else None
+    if start is None:
+        return _nothing(plane1, f"a pinhole relative pose of {len(plane1)} matches does not exist")
+    views = TwoViews(
+        plane1,
+        plane2,
+        cam_from_level=level_rotation(plane1.new_tensor((0.0, 0.0, 1.0)).expand(2, 3)),
+        focal=focal,
+        index_ratio=torch.as_tensor(index_ratio, dtype=plane1.dtype),
+        gravity_sigma=math.inf,
+    )
+    relative, inliers = start
+    best, lowest = torch.zeros(0, UNKNOWNS), math.inf
+    for _ in range(ROUNDS):
+        models, costs = _search(views, relative, inliers, max_error)
+        if not len(models) or float(costs[0]) >= (1.0 - 1e-3) * lowest:
+            break
+        best, lowest = models[costs - costs[0] < AS_GOOD * _variance(views, models[0], max_error)], float(costs[0])
+        rotation, _ = views.poses(best[:1])
+        relative, inliers = rotation[0, 1] @ rotation[0, 0].mT, _agree(views, best[0], 2.0 * max_error)
+    return _report(views, best, max_error, min_inliers)
+
+
+def _pinhole(plane1: Tensor, plane2: Tensor, threshold: float) -> tuple[Tensor, Tensor] | None:
+    """Relative rotation (3, 3) and consensus (N) of OpenCV's essential matrix."""
+    one, two, lens = plane1.numpy(), plane2.numpy(), np.eye(3)
+    essential, mask = cv2.findEssentialMat(one, two, lens, cv2.USAC_DEFAULT, 0.999, threshold)
+    if essential is None or essential.shape != (3, 3):
+        return None
+    inliers = torch.from_numpy(mask[:, 0] > 0)
+    _, rotation, _, _ = cv2.recoverPose(essential, one, two, lens, mask=mask)
+    return (torch.from_numpy(rotation), inliers) if int(inliers.sum()) >= UNKNOWNS else None
+
+
+def _search(views: TwoViews, relative: Tensor, inliers: Tensor, max_error: float) -> tuple[Tensor, Tensor]:
+    """Refined models (K, 8) and their costs on all matches, best first; none where no vertical gives a pose."""
+    rows = inliers.nonzero()[:, 0]
+    models = _hypotheses(views.rows(_thin(rows, SOLVED)), relative)
+    if not len(models):
+        return models, models[:, 0]
+    consensus, part = views.rows(_thin(rows, SCORED)), views.rows(_thin(torch.arange(len(views)), JUDGED))
+    models, _ = _best(models, consensus, 3.0 * max_error, LEADERS)
+    models = _refine(models, consensus, max_error, ON_CONSENSUS)
+    models = _refine(models, part, max_error, ON_ALL)
+    models, _ = _best(models, part, max_error, FINALISTS)
+    models = _refine(models, views, max_error, TO_THE_END)
+    return _best(models, views, max_error, FINALISTS)
+
+
+def _hypotheses(views: TwoViews, relative: Tensor) -> Tensor:
+    """Linear poses (H, 8) for every vertical of the grid that is below the horizon of both cameras."""
+    down1 = _cap(views.plane1)
+    down2 = rotate(relative, down1)
+    cam_from_level = level_rotation(torch.stack((down1, down2), dim=1)[down2[:, 2] > 0.0])
+    rays = torch.stack((views.plane1, views.plane2))
+    rays = torch.cat((rays, torch.ones_like(rays[..., :1])), dim=-1) @ cam_from_level
+    heading, center, valid = relative_pose_npt(rays[:, 0], rays[:, 1], views.index_ratio, views.height)
+    first = cam_from_level[:, None, 0].expand(*heading.shape, 3, 3)
+    rotation = torch.stack((first, cam_from_level[:, None, 1] @ heading_rotation(heading)), dim=-3)
+    tilt, turned = tilt_and_heading(views.cam_from_level, rotation)
+    return torch.cat((tilt.flatten(-2), turned[..., 1:], center), dim=-1)[valid]
+
+
+def _cap(like: Tensor) -> Tensor:
+    """Directions (K, 3) within CAP_DEG of the optical axis, SPACING_DEG apart, on a Fibonacci spiral."""
+    height, spacing = 1.0 - math.cos(math.radians(CAP_DEG)), math.radians(SPACING_DEG)
+    count = math.ceil(2.0 * math.pi * height / spacing**2)
+    k = torch.arange(count, dtype=like.dtype, device=like.device) + 0.5
+    z, turn = 1.0 - height * k / count, math.pi * (3.0 - math.sqrt(5.0)) * k
+    radius = (1.0 - z * z).sqrt()
+    return torch.stack((radius * turn.cos(), radius * turn.sin(), z), dim=-1)
+
+
+def _refine(models: Tensor, views: TwoViews, max_error: float, stages: tuple[tuple[float, int], ...]) -> Tensor:
+    for widened, iterations in stages:
+        models = views.refine(models, widened * max_error, iterations).states
+    return models
+
+
+def _best(models: Tensor, views: TwoViews, max_error: float, count: int) -> tuple[Tensor, Tensor]:
+    costs, order = views.costs(models, max_error).topk(min(count, len(models)), largest=False)
+    return models[order], costs
+
+
+def _agree(views: TwoViews, model: Tensor, max_error: float) -> Tensor:
+    errors = views.errors(model[None])
+    return (errors.possible & (errors.error.abs() < max_error))[0]
+
+
+def _variance(views: TwoViews, model: Tensor, max_error: float) -> float:
+    """Variance of an epipolar error, from the inliers, in squared pixels."""
+    error = views.errors(model[None]).error[0][_agree(views, model, max_error)]
+    return float(error.square().sum()) / max(len(error) - UNKNOWNS, 1)
+
+
+def _report(views: TwoViews, models: Tensor, max_error: float, min_inliers: int) -> UnknownVertical:
+    """The first of models (K, 8) that explain the matches equally well."""
+    if not len(models):
+        return _nothing(views.plane1, "no vertical gives a pose that places the second camera above the water")
+    inliers, shuffled = (
+        _agree(v, models[0], max_error) for v in (views, replace(views, plane2=views.plane2.roll(len(views) // 2, 0)))
+    )
+    needed = max(min_inliers, math.ceil(CHANCE_FACTOR * int(shuffled.sum())))
+    count = int(inliers.sum())
+    if count < needed:
+        return _nothing(views.plane1, f"only {count} of {len(views)} matches agree on a pose, but {needed} must")
+    rotations, centers = views.poses(models)
+    down = -rotations[..., 2]
+    sigma = _sigma(views, models[0], down[0], max_error)
+    others = torch.atan2(torch.linalg.cross(down, down[:1].expand_as(down)).norm(dim=-1), (down * down[0]).sum(dim=-1))
+    sigma = torch.maximum(sigma, others.amax(dim=0))
+    degrees = math.degrees(float(sigma.amax()))
+    detail = f"the vertical is determined to {degrees:.1f} degrees only: refraction is too weak to show the water"
+    failed = degrees > MAX_SIGMA_DEG
+    return UnknownVertical(
+        "degenerate" if failed else "success",
+        rotations[0],
+        centers[0],
+        inliers,
+        down[0],
+        sigma,
+        detail if failed else "",
+    )
+
+
+def _sigma(views: TwoViews, model: Tensor, down: Tensor, max_error: float) -> Tensor:
+    """Root-mean-square angle (2) of both verticals, where the tilts are measured from themselves."""
+    rotation, _ = views.poses(model[None])
+    views = replace(views, cam_from_level=level_rotation(down))
+    tilt, heading = tilt_and_heading(views.cam_from_level, rotation[0])
+    upright = torch.cat((tilt.flatten(), heading[1:], model[5:]))
+    hessian = views.linearize(upright[None], max_error, torch.ones(1, len(views), dtype=torch.bool)).hessian[0]
+    scale = hessian.diagonal().clamp(min=torch.finfo(hessian.dtype).tiny).rsqrt()
+    factor, info = torch.linalg.cholesky_ex(hessian * scale[:, None] * scale)
+    if int(info) != 0:
+        return torch.full_like(heading, torch.inf)
+    variance = torch.cholesky_inverse(factor).diagonal() * scale.square() * _variance(views, upright, max_error)
+    return variance[:4].unflatten(0, (2, 2)).sum(dim=-1).sqrt()
+
+
+def _thin(rows: Tensor, count: int) -> Tensor:
+    """`count` of the rows, spread evenly, or all where there are fewer."""
+    if len(rows) <= count:
+        return rows
+    return rows[torch.linspace(0, len(rows) - 1, count, dtype=torch.float64).round().long()]
+
+
+def _nothing(plane: Tensor, detail: str) -> UnknownVertical:
+    return UnknownVertical(
+        "no_consensus",
+        plane.new_zeros(2, 3, 3),
+        plane.new_zeros(2, 3),
+        torch.zeros(len(plane), dtype=torch.bool),
+        plane.new_zeros(2, 3),
+        plane.new_full((2,), torch.inf),
+        detail,
+    )
