@@ -8,9 +8,9 @@ that goes down to the water. See `torchrefrac.geometry.level_rotation`.
 """
 
 from torchrefrac.minimal.absolute_pose import absolute_pose_2pt, absolute_pose_lsqi
+from torchrefrac.minimal.four_point import relative_pose_4pt
 from torchrefrac.minimal.known_heading import absolute_pose_known_heading, relative_pose_3pt
 from torchrefrac.minimal.relative_pose import relative_pose_7pt, relative_pose_npt
-from torchrefrac.minimal.relative_pose_4pt import relative_pose_4pt
 from torchrefrac.minimal.triangulation import triangulate, triangulation_angle
 
 __all__ = [

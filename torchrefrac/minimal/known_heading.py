@@ -81,7 +81,8 @@ def absolute_pose_known_heading(
     """Least-squares centre of a camera with heading (*B) from n >= 2 level rays and world points (*B, n, 3).
 
     Points may lie in the water and on land. weights (*B, n), zero for a point that does not count. Returns center
-    (*B, 3) and valid (*B): the centre is determined and above the water; no single point decides.
+    (*B, 3) and valid (*B): the centre is determined and above the water. Which end of its
+    ray a point lies on is not asked.
     """
     require_sights(rays, points, "the solver", 2, or_more=True)
     require_broadcasting(heading=like(heading, rays).shape, rays=rays.shape[:-2])

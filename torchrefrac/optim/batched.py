@@ -78,4 +78,3 @@ def solve_damped(quadratic: Quadratic, damping: Tensor) -> Tensor:
     factor, info = torch.linalg.cholesky_ex(scaled)
     step = -torch.cholesky_solve((scale * quadratic.gradient)[..., None], factor)[..., 0] * scale
     return torch.where((info == 0)[:, None] & step.isfinite(), step, 0.0)
-

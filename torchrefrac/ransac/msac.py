@@ -67,7 +67,7 @@ class RansacOptions:
 
     max_error: float = 4.0
     confidence: float = 0.9999
-    batch_size: int = 128
+    batch_size: int = 192
     max_batch_size: int = 1024
     max_samples: int = 24576
     screening_size: int = 256

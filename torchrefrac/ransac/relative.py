@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
+from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt
 from torchrefrac.minimal.known_heading import unchecked_relative_pose_3pt
-from torchrefrac.minimal.relative_pose_4pt import unchecked_relative_pose_4pt
 from torchrefrac.ransac.degeneracy import explain_relative
 from torchrefrac.ransac.rays import level_rays, require_data, tightened, tilted_samples
 from torchrefrac.refinement import TwoViews

@@ -29,10 +29,10 @@ from torchrefrac.refinement import TwoViews, tilt_and_heading
 CAP_DEG, SPACING_DEG = 75.0, 9.0
 ROUNDS = 3
 SOLVED, SCORED, JUDGED = 300, 200, 400
-LEADERS, FINALISTS = 24, 6
+LEADERS, FINALISTS = 24, 8
 ON_CONSENSUS, ON_ALL, TO_THE_END = ((3.0, 8), (1.0, 8)), ((3.0, 6), (1.0, 6)), ((1.0, 20),)
 """Stages of a refinement: how far max_error is widened, and the iterations."""
-AS_GOOD = 9.0
+AS_GOOD = 8.0
 CHANCE_FACTOR = 3.0
 MAX_SIGMA_DEG = 5.0
 UNKNOWNS = 8
@@ -90,7 +90,7 @@ def find_verticals(
         models, costs = _search(views, relative, inliers, max_error)
         if not len(models) or float(costs[0]) >= (1.0 - 1e-3) * lowest:
             break
-        best, lowest = models[costs - costs[0] < AS_GOOD * _variance(views, models[0], max_error)], float(costs[0])
+        best, lowest = models[costs - costs[0] < AS_GOOD * max_error**2], float(costs[0])
         rotation, _ = views.poses(best[:1])
         relative, inliers = rotation[0, 1] @ rotation[0, 0].mT, _agree(views, best[0], 2.0 * max_error)
     return _report(views, best, max_error, min_inliers)
@@ -110,7 +110,9 @@ def _pinhole(plane1: Tensor, plane2: Tensor, threshold: float) -> tuple[Tensor, 
 def _search(views: TwoViews, relative: Tensor, inliers: Tensor, max_error: float) -> tuple[Tensor, Tensor]:
     """Refined models (K, 8) and their costs on all matches, best first; none where no vertical gives a pose."""
     rows = inliers.nonzero()[:, 0]
-    models = _hypotheses(views.rows(_thin(rows, SOLVED)), relative)
+    models = views.plane1.new_zeros(0, UNKNOWNS)
+    if len(rows) >= UNKNOWNS:
+        models = _hypotheses(views.rows(_thin(rows, SOLVED)), relative)
     if not len(models):
         return models, models[:, 0]
     consensus, part = views.rows(_thin(rows, SCORED)), views.rows(_thin(torch.arange(len(views)), JUDGED))
@@ -204,7 +206,7 @@ def _sigma(views: TwoViews, model: Tensor, down: Tensor, max_error: float) -> Te
     views = replace(views, cam_from_level=level_rotation(down))
     tilt, heading = tilt_and_heading(views.cam_from_level, rotation[0])
     upright = torch.cat((tilt.flatten(), heading[1:], model[5:]))
-    hessian = views.linearize(upright[None], max_error, torch.ones(1, len(views), dtype=torch.bool)).hessian[0]
+    hessian = views.refine(upright[None], max_error, 0).quadratic.hessian[0]
     scale = hessian.diagonal().clamp(min=torch.finfo(hessian.dtype).tiny).rsqrt()
     factor, info = torch.linalg.cholesky_ex(hessian * scale[:, None] * scale)
     if int(info) != 0:

@@ -75,7 +75,9 @@ class TwoViews:
         cost = torch.where(inside, errors.error.square(), limit).clamp(max=limit).sum(dim=-1)
         none = cost.new_zeros(len(models), UNKNOWNS)
         flat = Quadratic(0.5 * cost, none, torch.diag_embed(none))
-        return 2.0 * with_priors(models, flat, self.gravity_sigma, self.pixel_sigma, self.known_heading is not None).cost
+        return (
+            2.0 * with_priors(models, flat, self.gravity_sigma, self.pixel_sigma, self.known_heading is not None).cost
+        )
 
     def poses(self, models: Tensor) -> tuple[Tensor, Tensor]:
         """Rotations (H, 2, 3, 3) cam_from_world and centres (H, 2, 3) of both cameras."""

@@ -47,7 +47,17 @@ def _exp(tilt: Tensor) -> Tensor:
     angle_sq, sine, versine = _coefficients(x, y)
     mixed = versine * x * y
     up, right = sine * y, sine * x
-    rows = (1.0 - versine * y * y, mixed, up, mixed, 1.0 - versine * x * x, -right, -up, right, 1.0 - versine * angle_sq)
+    rows = (
+        1.0 - versine * y * y,
+        mixed,
+        up,
+        mixed,
+        1.0 - versine * x * x,
+        -right,
+        -up,
+        right,
+        1.0 - versine * angle_sq,
+    )
     return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
 
 

@@ -9,7 +9,7 @@ from tolerances import assert_matches
 
 from torchrefrac.geometry import heading_rotation
 from torchrefrac.minimal import relative_pose_4pt, relative_pose_7pt
-from torchrefrac.minimal.relative_pose_4pt import unchecked_relative_pose_4pt
+from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt
 
 
 def test_the_truth_is_among_the_candidates_in_999_problems_of_1000(make_pair):

@@ -1,0 +1,274 @@
+"""Success, accuracy and speed of the pose solvers and of RANSAC on one core, with PoseLib on the pinhole twin beside it.
+
+    python tools/bench/solvers.py [--problems 1000] [--workers 2] [--only minimal,relative,absolute,speed]
+
+The problems are those of solver_problems.py. PoseLib (pip install poselib) runs where it is installed, with its default
+options and the same error limit, on the same scene without water: that is the problem it can solve.
+Each worker takes a part of the problems and one thread. Speeds are measured alone, medians over several problems.
+"""
+
+import argparse
+import math
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+
+import numpy as np
+import torch
+from solver_problems import GEOMETRIES, HEADING_LIMIT_DEG, POSITION_LIMIT, Problem, make_problem
+from torch import Tensor
+from tqdm import tqdm
+
+import torchrefrac as tr
+from torchrefrac.geometry import level_rotation, so3_log
+from torchrefrac.ransac import AbsolutePoseEstimator, RansacOptions, RelativePoseEstimator, level_rays, ransac
+from torchrefrac.refinement import tilt_and_heading
+
+MATCHES = 2000
+OPTIONS = RansacOptions(max_error=2.0)
+SPEED_PROBLEMS = 25
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Pose solvers and RANSAC: success, accuracy, speed.")
+    parser.add_argument("--problems", type=int, default=1000)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--only", default="minimal,relative,absolute,speed", help="parts to run, by commas")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    parts = arguments.only.split(",")
+    run = partial(_in_parallel, problems=arguments.problems, workers=arguments.workers)
+    print(f"{arguments.problems} problems, torch {torch.__version__}, {torch.backends.cpu.get_cpu_capability()}")
+    if "minimal" in parts:
+        _report_minimal(arguments.problems)
+    if "relative" in parts:
+        _report_relative(run)
+    if "absolute" in parts:
+        _report_absolute(run)
+    if "speed" in parts:
+        _report_speed()
+
+
+def _report_minimal(problems: int) -> None:
+    """Noise-free success, and four points against seven in the same noisy samples."""
+    print(f"\n{'minimal solvers':<44}{'4-point':>10}{'7-point':>10}{'2-point':>10}{'7 / 4':>8}")
+    for geometry in GEOMETRIES:
+        for noise in (0.0, 0.1, 0.3):
+            found = torch.tensor([_solve_minimal(geometry, noise, seed) for seed in range(problems)])
+            if noise == 0.0:
+                four, seven, two = (found < 1e-6).double().mean(dim=0).tolist()
+                print(f"{geometry + ', noise-free: true pose found':<44}{four:>10.2%}{seven:>10.2%}{two:>10.2%}")
+            else:
+                four, seven, two = found.median(dim=0).values.tolist()
+                label = f"{geometry}, {noise} px: median position error"
+                print(f"{label:<44}{four:>10.2%}{seven:>10.2%}{two:>10.3%}{seven / four:>8.2f}")
+
+
+def _solve_minimal(geometry: str, noise: float, seed: int) -> tuple[float, float, float]:
+    """Best candidate of each solver: error of the centre over the baseline (2-point: over the height); noise-free the
+    larger of it and the error of the heading."""
+    problem = make_problem(geometry, 7, torch.Generator().manual_seed(seed), noise=noise)  # type: ignore[arg-type]
+    rays1, rays2 = (
+        level_rays(plane, level) for plane, level in zip(problem.plane, level_rotation(problem.down_in_cam), strict=True)
+    )
+    height, truth = float(problem.center[0, 2]), problem.true_model()
+    four = tr.minimal.four_point(rays1[:4], rays2[:4], problem.index_ratio, height)
+    seven = tr.minimal.relative_pose_7pt(rays1, rays2, problem.index_ratio, height)
+    two = tr.minimal.absolute_pose_2pt(rays2[:2], problem.points[:2], problem.index_ratio)
+    first_heading = float(_heading(problem, 0))
+    absolute_truth = torch.cat(((truth[4] + first_heading)[None], problem.center[1]))
+    exact = noise == 0.0
+    return (
+        _best(four, truth[4:], problem.baseline, exact),
+        _best(seven, truth[4:], problem.baseline, exact),
+        _best(two, absolute_truth, float(problem.center[1, 2]), exact),
+    )
+
+
+def _heading(problem: Problem, image: int) -> Tensor:
+    level_from_world = level_rotation(problem.down_in_cam[image]).mT @ problem.rotation[image]
+    return torch.atan2(level_from_world[1, 0], level_from_world[0, 0])
+
+
+def _best(found: tuple[Tensor, Tensor, Tensor], truth: Tensor, scale: float, exact: bool) -> float:
+    heading, center, valid = found
+    error = (center - truth[1:]).norm(dim=-1) / scale
+    if exact:
+        turned = heading - truth[0]
+        error = torch.maximum(error, torch.atan2(turned.sin(), turned.cos()).abs())
+    return float(torch.where(valid, error, torch.inf).min())
+
+
+def _report_relative(run: Callable) -> None:
+    title = f"relative pose RANSAC, {MATCHES} matches, 0.5 px"
+    print(f"\n{title:<44}{'right':>8}{'position':>10}{'heading':>10}{'/ CRB':>8}{'ms':>8}{'samples':>9}")
+    for geometry in GEOMETRIES:
+        for outliers in (0.5, 0.8):
+            for gravity_deg in (0.5, 2.0):
+                rows = run(partial(_relative, geometry, outliers, gravity_deg), geometry)
+                position, heading, expected, seconds, samples = rows.T
+                right = (position < POSITION_LIMIT[geometry]) & (heading < HEADING_LIMIT_DEG)
+                ratio = (position[right].square().mean() / expected[right].square().mean()).sqrt()
+                label = f"{geometry}, {outliers:.0%} outliers, gravity {gravity_deg:g} deg off"
+                print(
+                    f"{label:<44}{right.double().mean():>8.1%}{position.median():>10.3%}{heading.median():>9.4f}°"
+                    f"{ratio:>8.3f}{1e3 * seconds.median():>8.0f}{samples.median():>9.0f}",
+                    flush=True,
+                )
+
+
+def _relative(geometry: str, outliers: float, gravity_deg: float, seed: int) -> tuple[float, ...]:
+    """Errors, the expected error by the Cramér-Rao bound, seconds, samples."""
+    generator = torch.Generator().manual_seed(seed)
+    problem = make_problem(geometry, MATCHES, generator, outliers=outliers, gravity_error_deg=gravity_deg)  # type: ignore[arg-type]
+    start = time.perf_counter()
+    report = ransac(RelativePoseEstimator(problem.two_views()), OPTIONS, generator)
+    seconds = time.perf_counter() - start
+    errors = problem.relative_errors(report.model) if report.status == "success" else (math.inf, 180.0)
+    return *errors, _cramer_rao(problem), seconds, report.num_samples
+
+
+def _cramer_rao(problem: Problem) -> float:
+    """Root of the trace of the bound on the position, over the baseline: all true matches, gravity as known as it is."""
+    views = problem.two_views().rows(problem.right)
+    truth, everything = problem.true_model()[None], torch.ones(1, len(views), dtype=torch.bool)
+    covariance = torch.linalg.inv(views.linearize(truth, math.inf, everything).hessian[0]) * views.pixel_sigma**2
+    return float(covariance.diagonal()[5:].sum().sqrt()) / problem.baseline
+
+
+def _report_absolute(run: Callable) -> None:
+    title = f"absolute pose RANSAC, {MATCHES} points, 0.5 px"
+    print(f"\n{title:<44}{'right':>8}{'position':>10}{'rotation':>10}{'':>8}{'ms':>8}{'samples':>9}")
+    for geometry in GEOMETRIES:
+        for outliers, gravity_deg in ((0.5, 0.5), (0.8, 2.0)):
+            position, rotation, seconds, samples = run(partial(_absolute, geometry, outliers, gravity_deg), geometry).T
+            right = (position < 0.005) & (rotation < 0.1)
+            label = f"{geometry}, {outliers:.0%} outliers, gravity {gravity_deg:g} deg off"
+            print(
+                f"{label:<44}{right.double().mean():>8.1%}{position.median():>10.3%}{rotation.median():>9.4f}°"
+                f"{'':>8}{1e3 * seconds.median():>8.0f}{samples.median():>9.0f}",
+                flush=True,
+            )
+
+
+def _absolute(geometry: str, outliers: float, gravity_deg: float, seed: int) -> tuple[float, ...]:
+    """Position over the height, rotation in degrees, seconds, samples."""
+    generator = torch.Generator().manual_seed(seed)
+    problem = make_problem(geometry, MATCHES, generator, outliers=outliers, gravity_error_deg=gravity_deg)  # type: ignore[arg-type]
+    view = problem.one_view()
+    start = time.perf_counter()
+    report = ransac(AbsolutePoseEstimator(view), OPTIONS, generator)
+    seconds = time.perf_counter() - start
+    if report.status != "success":
+        return math.inf, 180.0, seconds, report.num_samples
+    rotation, center = (part[0] for part in view.poses(report.model[None]))
+    angle = math.degrees(float(so3_log(rotation @ problem.rotation[1].mT).norm()))
+    position = float((center - problem.center[1]).norm() / problem.center[1, 2])
+    return position, angle, seconds, report.num_samples
+
+
+def _report_speed() -> None:
+    """Wall time beside PoseLib, in turn on each problem, and scoring rates."""
+    print(f"\n{'speed, 50 % outliers, gravity 0.5 deg off':<44}{'ours':>10}{'PoseLib':>10}{'ratio':>8}")
+    for geometry in GEOMETRIES:
+        for name, ours, theirs in (
+            ("relative pose", _relative, _poselib_relative),
+            ("absolute pose", _absolute, _poselib_absolute),
+        ):
+            times = []
+            for seed in range(SPEED_PROBLEMS):
+                times.append((ours(geometry, 0.5, 0.5, seed)[-2], theirs(geometry, 0.5, seed)))
+            mine, peer = np.median(np.array(times[2:]), axis=0)
+            print(f"{f'{geometry}, {name}':<44}{1e3 * mine:>7.1f} ms{1e3 * peer:>7.1f} ms{mine / peer:>8.2f}")
+    _report_scoring()
+
+
+def _twin(geometry: str, outliers: float, seed: int) -> Problem:
+    """The same scene without water."""
+    generator = torch.Generator().manual_seed(seed)
+    return make_problem(geometry, MATCHES, generator, outliers=outliers, index_ratio=1.0)  # type: ignore[arg-type]
+
+
+def _poselib_camera(problem: Problem) -> dict:
+    return {"model": "SIMPLE_PINHOLE", "width": 1, "height": 1, "params": [problem.focal, 0.0, 0.0]}
+
+
+def _poselib_relative(geometry: str, outliers: float, seed: int) -> float:
+    return _poselib(geometry, outliers, seed, "relative")
+
+
+def _poselib_absolute(geometry: str, outliers: float, seed: int) -> float:
+    return _poselib(geometry, outliers, seed, "absolute")
+
+
+def _poselib(geometry: str, outliers: float, seed: int, kind: str) -> float:
+    try:
+        import poselib  # noqa: PLC0415 - a peer that need not be there
+    except ImportError:
+        return math.nan
+    problem = _twin(geometry, outliers, seed)
+    camera = _poselib_camera(problem)
+    one, two = problem.pixels.numpy()
+    points = problem.points.numpy()
+    start = time.perf_counter()
+    if kind == "relative":
+        poselib.estimate_relative_pose(one, two, camera, camera, {"max_epipolar_error": OPTIONS.max_error}, {})
+    else:
+        poselib.estimate_absolute_pose(two, points, camera, {"max_reproj_error": OPTIONS.max_error}, {})
+    return time.perf_counter() - start
+
+
+def _report_scoring() -> None:
+    """Hypotheses a second over all matches, in single precision as the loop screens them."""
+    print(f"\n{f'exact refractive scoring, {MATCHES} data':<44}{'eager':>10}{'compiled':>10}  hypotheses/s")
+    problem = make_problem("tank", MATCHES, torch.Generator().manual_seed(0))
+    relative, absolute = RelativePoseEstimator(problem.two_views()), AbsolutePoseEstimator(problem.one_view())
+    view = problem.one_view()
+    for name, estimator, model in (
+        ("absolute pose (reprojection error)", absolute, _absolute_truth(problem, view.cam_from_level)),
+        ("relative pose (epipolar error)", relative, problem.true_model()),
+    ):
+        wiggle = 1e-3 * torch.randn((512, len(model)), generator=torch.Generator().manual_seed(1))
+        models = model.float() + wiggle
+
+        def score(models: Tensor, estimator: AbsolutePoseEstimator | RelativePoseEstimator = estimator) -> Tensor:
+            return estimator.squared_errors(models, None).clamp(max=4.0).sum(dim=-1)
+
+        rates = [_rate(score, models, 16), _rate(torch.compile(score), models, 512)]
+        print(f"{name:<44}" + "".join(f"{rate:>10,.0f}" for rate in rates))
+
+
+def _absolute_truth(problem: Problem, cam_from_level: Tensor) -> Tensor:
+    tilt, heading = tilt_and_heading(cam_from_level, problem.rotation[1])
+    return torch.cat((tilt, heading[None], problem.center[1]))
+
+
+def _rate(score: Callable[[Tensor], Tensor], models: Tensor, batch: int) -> float:
+    best = math.inf
+    with torch.no_grad():
+        for _ in range(8):
+            start = time.perf_counter()
+            for part in models.split(batch):
+                score(part)
+            best = min(best, time.perf_counter() - start)
+    return len(models) / best
+
+
+def _in_parallel(solve: Callable[[int], Sequence[float]], label: str, problems: int, workers: int) -> Tensor:
+    """solve(seed) for every problem, by several processes of one thread each."""
+    seeds = range(problems)
+    if workers < 2:
+        return torch.tensor([solve(seed) for seed in tqdm(seeds, desc=label, unit="problem", leave=False)])
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
+        results = pool.map(solve, seeds, chunksize=5)
+        return torch.tensor(list(tqdm(results, total=problems, desc=label, unit="problem", leave=False)))
+
+
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+if __name__ == "__main__":
+    main()
