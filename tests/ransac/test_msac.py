@@ -1,4 +1,4 @@
-"""The MSAC loop, driven by estimators that know where numbers lie on a line."""
+"""The LO-MSAC loop, driven by estimators that know where numbers lie on a line."""
 
 import math
 from dataclasses import replace
@@ -8,35 +8,45 @@ import torch
 
 from torchrefrac.ransac import RansacOptions, msac, ransac
 
-ONE_BY_ONE = RansacOptions(max_error=1.0, batch_size=1, min_samples=1, min_inliers=2)
+ONE_BY_ONE = RansacOptions(max_error=1.0, batch_size=1, max_batch_size=1, min_inliers=2)
 
 
 class Location:
     """A model is a place (1); its error at a datum is the distance. Samples are answered with their mean.
 
-    `answer` replaces the mean: the candidates of every sample (M) and which of them are valid (M). `refits` replaces
-    the mean of the inliers: the places that successive refits give. What was asked is kept in `samples` and `fitted`.
+    `answer` replaces the mean: the candidates of every sample (M) and which of them are valid (M). `better` moves a
+    place when it is optimised. What was asked is kept in `samples`, `screened`, and `optimized`: places, rows, and whether thoroughly.
     """
 
-    def __init__(self, data, sample_size=1, answer=None, refits=None):
+    def __init__(self, data, sample_size=1, answer=None, better=None, hits=1.0, reason=""):
         self.data, self.sample_size, self.num_data = data, sample_size, len(data)
-        self.answer, self.refits = answer, refits
-        self.samples, self.fitted = [], []
+        self.answer, self.better, self.samples_per_hit, self.reason = answer, better, hits, reason
+        self.samples, self.screened, self.optimized, self.judged = [], [], [], []
 
     def solve(self, samples):
         self.samples.append(samples)
         if self.answer is None:
             return self.data[samples].mean(dim=1)[:, None, None], torch.ones(len(samples), 1, dtype=torch.bool)
         places, valid = (torch.tensor(value).expand(len(samples), -1) for value in self.answer)
-        return places[..., None], valid
+        return places[..., None].double(), valid
 
-    def squared_errors(self, models):
-        return (models - self.data).square()
+    def squared_errors(self, models, rows):
+        if models.dtype == torch.float32:
+            self.screened.append((len(models), rows))
+        return (models - self._data(rows).to(models.dtype)).square()
 
-    def refit(self, model, inliers):
-        self.fitted.append((float(model[0]), inliers))
-        place = self.data[inliers].mean() if self.refits is None else torch.tensor(self.refits.pop(0))
-        return place.reshape(1, 1), torch.ones(1, dtype=torch.bool)
+    def optimize(self, models, max_error, rows, thorough):
+        self.optimized.append(([float(place) for place in models[:, 0]], rows, thorough))
+        if self.better is not None:
+            models = models.clone().apply_(self.better)
+        return models, (models - self._data(rows)).square().clamp(max=max_error**2).sum(dim=-1)
+
+    def degeneracy(self, model, inliers):
+        self.judged.append((float(model[0]), inliers))
+        return self.reason
+
+    def _data(self, rows):
+        return self.data if rows is None else self.data[rows]
 
 
 @pytest.fixture
@@ -73,26 +83,28 @@ def test_more_confidence_needs_more_samples(make_location, generator):
     assert report.num_samples == 65
 
 
-def test_samples_are_drawn_in_whole_batches(make_location, generator):
+def test_samples_of_which_only_some_are_good_enough_must_be_more(make_location, generator):
+    """ln(1 - 0.9999) / ln(1 - 0.25 / 4)."""
+    location = make_location(50, 50, sample_size=2, answer=([5.0], [True]), hits=4.0)
+
+    assert ransac(location, ONE_BY_ONE, generator).num_samples == 143
+
+
+def test_batches_double_up_to_their_limit_and_the_last_is_as_large_as_needed(make_location, generator):
     location = make_location(50, 50, sample_size=2, answer=([5.0], [True]))
 
-    report = ransac(location, replace(ONE_BY_ONE, batch_size=10), generator)
+    report = ransac(location, replace(ONE_BY_ONE, batch_size=4, max_batch_size=8), generator)
 
-    assert report.num_samples == 40
-    assert [tuple(batch.shape) for batch in location.samples] == [(10, 2)] * 4
-
-
-def test_without_outliers_the_least_number_of_samples_is_enough(make_location, generator):
-    report = ransac(make_location(100, 0), replace(ONE_BY_ONE, batch_size=8, min_samples=24), generator)
-
-    assert report.num_samples == 24
+    assert report.num_samples == 33
+    assert [tuple(batch.shape) for batch in location.samples] == [(4, 2), (8, 2), (8, 2), (8, 2), (5, 2)]
 
 
 @pytest.mark.parametrize(("batch_size", "max_samples"), [(1, 7), (10, 50), (10, 45), (64, 10)])
 def test_never_more_than_max_samples_are_drawn(make_location, generator, batch_size, max_samples):
     location = make_location(50, 50, answer=([5.0], [False]))
+    options = replace(ONE_BY_ONE, batch_size=batch_size, max_batch_size=batch_size, max_samples=max_samples)
 
-    report = ransac(location, replace(ONE_BY_ONE, batch_size=batch_size, max_samples=max_samples), generator)
+    report = ransac(location, options, generator)
 
     assert report.num_samples == sum(len(batch) for batch in location.samples) == max_samples
 
@@ -112,23 +124,22 @@ def test_the_place_is_found_and_its_inliers_are_exactly_those_within_max_error(m
 
     report = ransac(location, ONE_BY_ONE, generator)
 
-    assert report.status == "success"
-    assert report.num_inliers == 40
+    assert (report.status, report.detail, report.num_inliers) == ("success", "", 40)
     assert torch.equal(report.inliers, location.data < 50.0)
-    torch.testing.assert_close(report.model[0], location.data[:40].mean())
+    assert float(report.model[0]) == pytest.approx(5.0, abs=0.3)
 
 
-def test_the_score_is_the_sum_of_squared_errors_truncated_at_max_error(make_location, generator):
+def test_the_cost_is_the_sum_of_squared_errors_truncated_at_max_error(make_location, generator):
     location = make_location(40, 60)
 
     report = ransac(location, replace(ONE_BY_ONE, max_error=1.5), generator)
 
     residual = (location.data - report.model).square().clamp(max=1.5**2)
-    assert report.score == pytest.approx(float(residual.sum()), rel=1e-12)
+    assert report.cost == pytest.approx(float(residual.sum()), rel=1e-12)
 
 
 def test_the_nearer_of_two_models_with_the_same_inliers_wins(make_location, generator):
-    location = make_location(40, 60, answer=([5.5, 5.01, 5.4], [True] * 3), refits=[5.5])
+    location = make_location(40, 60, answer=([5.5, 5.01, 5.4], [True] * 3))
 
     report = ransac(location, ONE_BY_ONE, generator)
 
@@ -136,16 +147,7 @@ def test_the_nearer_of_two_models_with_the_same_inliers_wins(make_location, gene
 
 
 def test_a_model_that_is_not_valid_never_wins(make_location, generator):
-    location = make_location(40, 60, answer=([5.0, 5.2], [False, True]), refits=[5.2])
-
-    report = ransac(location, ONE_BY_ONE, generator)
-
-    assert float(report.model[0]) == pytest.approx(5.2)
-
-
-def test_an_invalid_refit_is_not_taken(make_location, generator):
-    location = make_location(40, 60, answer=([5.2], [True]))
-    location.refit = lambda model, inliers: (torch.tensor([[5.0]]), torch.tensor([False]))
+    location = make_location(40, 60, answer=([5.0, 5.2], [False, True]))
 
     report = ransac(location, ONE_BY_ONE, generator)
 
@@ -155,74 +157,95 @@ def test_an_invalid_refit_is_not_taken(make_location, generator):
 def test_data_where_a_model_is_impossible_count_as_outliers(make_location, generator):
     location = make_location(40, 60, answer=([5.0], [True]))
     squared = location.squared_errors
-    location.squared_errors = lambda models: torch.where(torch.arange(100) < 30, torch.inf, squared(models))
+    location.squared_errors = lambda models, rows: torch.where(
+        torch.arange(100) < 30, torch.inf, squared(models, rows)
+    ).to(models.dtype)
 
     report = ransac(location, ONE_BY_ONE, generator)
 
     assert report.num_inliers == 10
-    assert math.isfinite(report.score)
+    assert math.isfinite(report.cost)
 
 
-def test_only_a_model_that_improves_is_refitted(make_location, generator):
-    location = make_location(50, 50, sample_size=2, answer=([5.0], [True]), refits=[5.0])
+def test_the_leaders_of_every_batch_are_optimised_a_little_and_only_the_best_ever_thoroughly(make_location, generator):
+    location = make_location(50, 50, sample_size=2, answer=([5.0], [True]))
+
+    ransac(location, replace(ONE_BY_ONE, screening_size=50), generator)
+
+    assert len(location.samples) == 33
+    assert [thorough for *_, thorough in location.optimized] == [False, True] + 32 * [False]
+
+
+def test_little_data_are_screened_whole(make_location, generator):
+    location = make_location(50, 50, sample_size=2, answer=([5.0], [True]))
+
+    ransac(location, replace(ONE_BY_ONE, screening_size=50), generator)
+
+    assert all(rows is None for _, rows in location.screened)
+    assert all(rows is None for _, rows, _ in location.optimized)
+
+
+def test_many_data_are_screened_in_part_always_the_same(make_location, generator):
+    location = make_location(50, 51, sample_size=2, answer=([5.0, 5.1], [True, True]))
+
+    report = ransac(location, replace(ONE_BY_ONE, screening_size=50, batch_size=20, max_batch_size=20), generator)
+
+    assert (report.num_samples, len(location.samples)) == (33, 2)
+    assert [(count, len(rows)) for count, rows in location.screened] == [(40, 50), (26, 50)]
+    assert all(torch.equal(rows, location.screened[0][1]) for _, rows in location.screened)
+    on_part = [len(places) for places, rows, _ in location.optimized if rows is not None]
+    assert on_part == [8, 8]
+    assert [len(places) for places, rows, _ in location.optimized if rows is None] == [1]
+
+
+@pytest.mark.parametrize("leaders", [1, 3])
+def test_as_many_leaders_of_a_batch_are_optimised_as_asked_for_the_best_ones(make_location, generator, leaders):
+    location = make_location(60, 40, answer=([5.6, 5.0, 5.4, 5.2], [True] * 4))
+
+    ransac(location, replace(ONE_BY_ONE, leaders=leaders, max_samples=1), generator)
+
+    places, _, thorough = location.optimized[0]
+    assert not thorough
+    assert places == pytest.approx([5.0, 5.2, 5.4][:leaders])
+
+
+def test_what_the_optimisation_makes_of_a_leader_counts(make_location, generator):
+    location = make_location(60, 40, answer=([5.6, 5.3], [True] * 2), better=lambda x: 5.0 if x > 5.5 else x)
 
     report = ransac(location, ONE_BY_ONE, generator)
 
-    assert report.num_samples == 33
-    assert len(location.fitted) == 1
+    assert float(report.model[0]) == 5.0
 
 
-def test_refitting_goes_on_while_it_improves(make_location, generator):
-    location = make_location(100, 0, answer=([5.7], [True]), refits=[5.5, 5.3, 5.4, 5.0])
+def test_screening_is_more_lenient_than_the_verdict(make_location, generator):
+    """At twice max_error a place beside 60 data beats one that 25 data lie on; at max_error it does not."""
+    data = torch.cat((torch.zeros(60), 20.0 + torch.zeros(25))).double()
+    location = Location(data, answer=([1.2, 20.0], [True] * 2))
 
-    report = ransac(location, replace(ONE_BY_ONE, refits=10), generator)
+    ransac(location, replace(ONE_BY_ONE, leaders=1, max_samples=1), generator)
+    ransac(location, replace(ONE_BY_ONE, leaders=1, max_samples=1, screening_factor=1.0), generator)
 
-    assert [place for place, _ in location.fitted] == pytest.approx([5.7, 5.5, 5.3])
-    assert float(report.model[0]) == pytest.approx(5.3)
-
-
-def test_refitting_ends_after_as_many_rounds_as_asked_for(make_location, generator):
-    location = make_location(100, 0, answer=([5.7], [True]), refits=[5.5, 5.3, 5.2, 5.1])
-
-    ransac(location, replace(ONE_BY_ONE, refits=2), generator)
-
-    assert len(location.fitted) == 2
+    places = [places[0] for places, _, thorough in location.optimized if not thorough]
+    assert places == pytest.approx([1.2, 20.0])
 
 
-def test_a_refit_is_given_the_inliers_of_the_best_model(make_location, generator):
-    location = make_location(40, 60, answer=([5.2], [True]), refits=[5.2])
-
-    ransac(location, ONE_BY_ONE, generator)
-
-    assert torch.equal(location.fitted[0][1], location.data < 50.0)
-
-
-@pytest.mark.parametrize(("inliers", "refits"), [(3, 0), (4, 1)])
-def test_a_refit_is_asked_for_only_with_more_inliers_than_a_sample_has(make_location, generator, inliers, refits):
-    location = make_location(inliers, 20, sample_size=3, answer=([5.2], [True]), refits=[5.2])
-
-    ransac(location, replace(ONE_BY_ONE, max_samples=10), generator)
-
-    assert len(location.fitted) == refits
-
-
-@pytest.mark.parametrize(("count", "sample_size", "min_inliers"), [(6, 2, 7), (6, 7, 1), (0, 1, 1)])
+@pytest.mark.parametrize(("count", "sample_size", "min_inliers"), [(6, 2, 7), (6, 6, 1), (0, 1, 1)])
 def test_too_few_data_are_reported_and_nothing_is_drawn(make_location, generator, count, sample_size, min_inliers):
     location = make_location(count, 0, sample_size=sample_size)
 
     report = ransac(location, replace(ONE_BY_ONE, min_inliers=min_inliers), generator)
 
     assert report.status == "too_few_data"
-    assert (report.num_samples, report.num_inliers, len(report.inliers)) == (0, 0, count)
+    assert f"only {count} data" in report.detail
+    assert (report.num_samples, report.num_inliers, len(report.inliers), len(report.model)) == (0, 0, count, 0)
     assert not location.samples
 
 
-def test_fewer_inliers_than_asked_for_are_no_consensus(make_location, generator):
-    report = ransac(make_location(9, 91), replace(ONE_BY_ONE, min_inliers=10), generator)
+def test_fewer_inliers_than_asked_for_are_no_consensus_and_no_model(make_location, generator):
+    report = ransac(make_location(9, 91), replace(ONE_BY_ONE, min_inliers=10, max_samples=200), generator)
 
-    assert report.status == "no_consensus"
-    assert report.num_inliers == 9
-    assert float(report.model[0]) == pytest.approx(5.0, abs=0.3)
+    assert (report.status, len(report.model), report.num_inliers) == ("no_consensus", 0, 9)
+    assert report.detail == "only 9 of 100 data agree with the best model, but 10 must"
 
 
 def test_without_any_valid_model_there_is_no_consensus(make_location, generator):
@@ -233,13 +256,26 @@ def test_without_any_valid_model_there_is_no_consensus(make_location, generator)
     assert (report.status, report.num_inliers, report.num_samples) == ("no_consensus", 0, 20)
 
 
+def test_a_model_that_its_inliers_do_not_determine_is_reported_and_not_returned(make_location, generator):
+    location = make_location(40, 60, answer=([5.0], [True]), reason="all data lie on one point")
+
+    report = ransac(location, ONE_BY_ONE, generator)
+
+    assert (report.status, report.detail, len(report.model)) == ("degenerate", "all data lie on one point", 0)
+    ((place, inliers),) = location.judged
+    assert place == 5.0
+    assert torch.equal(inliers, report.inliers)
+    assert report.num_inliers == 40
+
+
 def test_the_same_seed_gives_the_same_report(make_location):
     location = make_location(20, 80)
 
     one, two = (ransac(location, ONE_BY_ONE, torch.Generator().manual_seed(3)) for _ in range(2))
 
-    assert (one.num_samples, one.score) == (two.num_samples, two.score)
+    assert (one.num_samples, one.cost) == (two.num_samples, two.cost)
     assert torch.equal(one.model, two.model)
+    assert torch.equal(one.inliers, two.inliers)
 
 
 @pytest.mark.parametrize("elements", [1, 700])
@@ -251,14 +287,6 @@ def test_scoring_models_in_chunks_changes_nothing(make_location, monkeypatch, el
     monkeypatch.setattr(msac, "SCORE_ELEMENTS", elements)
     chunked = ransac(location, options, torch.Generator().manual_seed(3))
 
-    assert (chunked.num_samples, chunked.score) == (whole.num_samples, whole.score)
+    assert (chunked.num_samples, chunked.cost) == (whole.num_samples, whole.cost)
     assert torch.equal(chunked.model, whole.model)
     assert torch.equal(chunked.inliers, whole.inliers)
-
-
-def test_a_model_that_explains_no_more_than_its_sample_is_not_refitted(make_location, generator):
-    location = make_location(3, 40, sample_size=3, answer=([5.0], [True]))
-
-    ransac(location, replace(ONE_BY_ONE, max_samples=5), generator)
-
-    assert location.fitted == []

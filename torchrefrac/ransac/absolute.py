@@ -6,7 +6,7 @@ from torch import Tensor
 from torchrefrac.minimal.absolute_pose import unchecked_absolute_pose_2pt
 from torchrefrac.minimal.known_heading import unchecked_absolute_pose_known_heading
 from torchrefrac.ransac.degeneracy import explain_absolute
-from torchrefrac.ransac.rays import level_rays, require_data, tilted_samples
+from torchrefrac.ransac.rays import level_rays, require_data, tightened, tilted_samples
 from torchrefrac.refinement import OneView
 
 
@@ -47,13 +47,14 @@ class AbsolutePoseEstimator:
         view = self.view if models.dtype == self.view.plane.dtype else self._single
         return (view if rows is None else view.rows(rows)).squared_errors(models)
 
-    def optimize(self, models: Tensor, max_error: float, rows: Tensor | None) -> tuple[Tensor, Tensor]:
-        view, stages = (self.view, THOROUGH) if rows is None else (self.view.rows(rows), QUICK)
-        cost = models.new_zeros(len(models))
-        for widened, iterations in stages:
-            models, quadratic, _ = view.refine(models, widened * max_error, iterations)
-            cost = quadratic.cost
-        return models, 2.0 * cost
+    def optimize(self, models: Tensor, max_error: float, rows: Tensor | None, thorough: bool) -> tuple[Tensor, Tensor]:
+        view = self.view if rows is None else self.view.rows(rows)
+        for widened, iterations in THOROUGH if thorough else QUICK:
+            models = view.refine(models, widened * max_error, iterations).states
+        if thorough:
+            limit = tightened(self.squared_errors(models, rows), max_error)
+            models = view.refine(models, limit, TIGHTENED).states
+        return models, view.costs(models, max_error)
 
     def degeneracy(self, model: Tensor, inliers: Tensor) -> str:
         return explain_absolute(self.view.rows(inliers), model)
@@ -61,4 +62,5 @@ class AbsolutePoseEstimator:
 
 QUICK = ((4.0, 2), (2.0, 2), (1.0, 2))
 THOROUGH = ((1.0, 12),)
-"""Stages of the optimisation: how far max_error is widened, and the iterations."""
+TIGHTENED = 6
+"""Stages of the optimisation: how far max_error is widened, and iterations; those after it is tightened to the noise."""

@@ -1,8 +1,8 @@
 """When the matches that agree on a pose do not determine it: said from the information that they carry.
 
-The covariance of the pose follows from its quadratic model, pixels of `pixel_sigma` and gravity as a prior. Where it is as
-large as the pose itself, any pose from a whole family explains the matches, and none is given. Of the two degenerate
-cases of Chang & Chen (ICCV 2011, section 3.4.1) and of refraction that is too weak each shows it in this way.
+The covariance of the pose follows from its quadratic model, pixels of `pixel_sigma` and gravity as a prior. Where it is
+as large as the pose itself, any pose of a whole family explains the matches, and none is given. Both degenerate cases of
+Chang & Chen (ICCV 2011, section 3.4.1) and refraction that is too weak show themselves in this way.
 """
 
 import math
@@ -64,6 +64,6 @@ def _reason(views: TwoViews, model: Tensor, centers: Tensor) -> str:
     if level and float(ahead) < reach:
         return "both cameras are equally high and all points lie in the plane that bisects their baseline"
     return (
-        f"at an index ratio of {float(views.index_ratio):.4g} the water bends these rays too little to show where its "
+        f"at an index ratio of {float(views.index_ratio):.6g} the water bends these rays too little to show where its "
         "surface is"
     )

@@ -1,9 +1,9 @@
 """The batched LO-MSAC loop. It draws, screens, optimises and stops; what a model is, only the estimator knows.
 
-Whole batches of minimal samples are solved and scored at once (MSAC: sum of squared errors truncated at max_error; Torr &
-Zisserman, CVIU 2000). Scoring has two stages: every model on a random part of the data, in single precision; then the
-leaders of the batch are optimised on that part, and when the best of them beats all before it is optimised on all the
-data (local optimisation: Chum, Matas, Kittler, DAGM 2003) and judged there.
+Whole batches of minimal samples are solved and scored at once (MSAC: sum of squared errors truncated at max_error; Torr
+& Zisserman, CVIU 2000). Scoring has two stages. Every model is screened on a random part of the data, in single precision.
+The leaders of the batch are optimised a little on that part, and when the best of them beats all before, it is optimised
+thoroughly on all the data (local optimisation: Chum, Matas, Kittler, DAGM 2003) and judged there.
 """
 
 import math
@@ -44,10 +44,10 @@ class Estimator(Protocol):
         """
         ...
 
-    def optimize(self, models: Tensor, max_error: float, rows: Tensor | None) -> tuple[Tensor, Tensor]:
+    def optimize(self, models: Tensor, max_error: float, rows: Tensor | None, thorough: bool) -> tuple[Tensor, Tensor]:
         """Models (K, D) improved on the data, and their costs (K): what the score is, and priors.
 
-        A few steps for a part of the data, which only has to tell good starts from bad; to convergence for all.
+        thorough: to convergence; otherwise as far as it takes to tell good starts from bad.
         """
         ...
 
@@ -99,9 +99,9 @@ class RansacReport:
 def ransac(estimator: Estimator, options: RansacOptions, generator: torch.Generator) -> RansacReport:
     """Find the model that most data agree with.
 
-    Deterministic for a given state of `generator`. Fails with a status, not with a model: "too_few_data"; "no_consensus",
-    fewer than min_inliers data agree; "degenerate", they agree but do not determine it. Drawing ends when so
-    many samples were drawn that with `confidence` a good enough one was among them, at the best inlier ratio so far.
+    Deterministic for a given state of `generator`. Fails with a status, not with a model: "too_few_data";
+    "no_consensus", fewer than min_inliers data agree; "degenerate", they agree but do not determine it. Drawing ends when
+    so many samples were drawn that with `confidence` a good enough one was among them, at the best inlier ratio so far.
     """
     needed = max(estimator.sample_size + 1, options.min_inliers)
     if estimator.num_data < needed:
@@ -140,14 +140,12 @@ class _Search:
             return
         scores = self._scores(models)
         leaders = models[scores.topk(min(self.options.leaders, len(models)), largest=False).indices]
-        leaders, costs = estimator.optimize(leaders, self.options.max_error, self.rows)
+        leaders, costs = estimator.optimize(leaders, self.options.max_error, self.rows, thorough=False)
         cost, index = costs.min(dim=0)
         if float(cost) >= self.screened_cost:
             return
         self.screened_cost = float(cost)
-        best, costs = leaders[index][None], cost[None]
-        if self.rows is not None:
-            best, costs = estimator.optimize(best, self.options.max_error, None)
+        best, costs = estimator.optimize(leaders[index][None], self.options.max_error, None, thorough=True)
         if float(costs[0]) < self.cost:
             self._take(best[0], float(costs[0]))
 

@@ -11,8 +11,8 @@ from torchrefrac.refinement import TwoViews
 
 
 class RelativePoseEstimator:
-    """Models are those of `TwoViews`: tilts of both cameras (4), heading and centre of the second, relative to the first
-    at (0, 0, height) with heading 0.
+    """Models are those of `TwoViews`: tilts of both cameras (4), heading and centre of the second, relative to the
+    first at (0, 0, height) with heading 0.
 
     Samples are solved with the measured verticals; the optimisation takes in their errors. The error of a match is the
     smallest correction of both pixels that makes their rays meet, to first order; they must meet below the water.
@@ -54,16 +54,14 @@ class RelativePoseEstimator:
         errors = (views if rows is None else views.rows(rows)).errors(models)
         return torch.where(errors.possible, errors.error.square(), torch.inf)
 
-    def optimize(self, models: Tensor, max_error: float, rows: Tensor | None) -> tuple[Tensor, Tensor]:
-        views, stages = (self.views, THOROUGH) if rows is None else (self.views.rows(rows), QUICK)
-        for widened, iterations in stages:
+    def optimize(self, models: Tensor, max_error: float, rows: Tensor | None, thorough: bool) -> tuple[Tensor, Tensor]:
+        views = self.views if rows is None else self.views.rows(rows)
+        for widened, iterations in THOROUGH if thorough else QUICK:
             models = views.refine(models, widened * max_error, iterations).states
-        if rows is None:
-            models = views.refine(models, self._noise_limit(models, max_error), TIGHTENED).states
+        if thorough:
+            limit = tightened(self.squared_errors(models, rows), max_error)
+            models = views.refine(models, limit, TIGHTENED).states
         return models, views.costs(models, max_error)
-
-    def _noise_limit(self, models: Tensor, max_error: float) -> float:
-        return tightened(self.squared_errors(models, None), max_error)
 
     def degeneracy(self, model: Tensor, inliers: Tensor) -> str:
         return explain_relative(self.views.rows(inliers), model)
@@ -71,5 +69,5 @@ class RelativePoseEstimator:
 
 QUICK = ((2.0, 3), (1.0, 3))
 THOROUGH = ((1.0, 12),)
-"""Stages of the optimisation: how far max_error is widened, and the iterations."""
 TIGHTENED = 6
+"""Stages of the optimisation: how far max_error is widened, and iterations; those after it is tightened to the noise."""

@@ -30,3 +30,12 @@ def with_priors(
         free[tilts] = float(not known_heading)
         gradient, hessian = gradient * free, hessian * free[:, None] * free + torch.diag(1.0 - free)
     return Quadratic(torch.where(models[:, -1] > 0.0, cost, torch.inf), gradient, hessian)
+
+
+def with_prior_costs(
+    models: Tensor, squares: Tensor, gravity_sigma: float, pixel_sigma: float, known_heading: bool
+) -> Tensor:
+    """Sums of squares (K), and twice what the priors cost."""
+    none = models.new_zeros(models.shape)
+    flat = Quadratic(0.5 * squares, none, torch.diag_embed(none))
+    return 2.0 * with_priors(models, flat, gravity_sigma, pixel_sigma, known_heading).cost

@@ -19,7 +19,7 @@ from torch import Tensor
 from torchrefrac.geometry import triples
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
 from torchrefrac.refinement.epipolar import EpipolarError, Views, epipolar_error, epipolar_jacobian, meeting_points
-from torchrefrac.refinement.priors import with_priors
+from torchrefrac.refinement.priors import with_prior_costs, with_priors
 from torchrefrac.refinement.tilt import tilted_rotation, turn_by_tilt
 
 HEADING, CENTER, UNKNOWNS = 4, slice(5, 8), 8
@@ -73,11 +73,7 @@ class TwoViews:
         limit = max_error * max_error
         inside = errors.possible & _bulk(errors, max_error)
         cost = torch.where(inside, errors.error.square(), limit).clamp(max=limit).sum(dim=-1)
-        none = cost.new_zeros(len(models), UNKNOWNS)
-        flat = Quadratic(0.5 * cost, none, torch.diag_embed(none))
-        return (
-            2.0 * with_priors(models, flat, self.gravity_sigma, self.pixel_sigma, self.known_heading is not None).cost
-        )
+        return with_prior_costs(models, cost, self.gravity_sigma, self.pixel_sigma, self.known_heading is not None)
 
     def poses(self, models: Tensor) -> tuple[Tensor, Tensor]:
         """Rotations (H, 2, 3, 3) cam_from_world and centres (H, 2, 3) of both cameras."""

@@ -65,8 +65,8 @@ def find_root(equation: Equation, method: str) -> Tensor:
 def screening_height(distance_sq: Tensor, height: Tensor, depth: Tensor, index_ratio: Tensor) -> Tensor:
     """Apparent height (*B) over one water surface for comparing many hypotheses: values only, in the dtype given.
 
-    height > 0, depth >= 0. Two Halley steps: a relative error of 3e-7 in float32, for depth/height within 10^+-2 of
-    1e-7 in float64.
+    height > 0, depth >= 0. Two Halley steps: up to 85 degrees a relative error below 1e-6 in float32 and 1e-10 in
+    float64 for depth/height within 10^+-1, below 2e-6 and 3e-9 within 10^+-2.
     """
     equation = Equation(distance_sq, height, [depth], [index_ratio])
     s = lower_bound(equation)
