@@ -26,6 +26,7 @@ lint: $(READY)
 
 bench: $(READY)
 	$(BIN)/python tools/bench/refraction.py
+	$(BIN)/python tools/bench/solvers.py --problems 100
 	$(BIN)/python tools/bench/sparse.py $(wildcard ../shared/data/tank)
 
 clean:

@@ -95,6 +95,11 @@ def _summary(metrics: dict[str, Any], unit: str) -> str:
         f"median reprojection error {metrics['reprojection_median_px']:.3f} px, {metrics['seconds_total']:.1f} s"
     ]
     lines += [f"not registered: {name} {reason}" for name, reason in metrics.get("not_registered", {}).items()]
+    if metrics["gravity"] == "estimated":
+        lines.append(
+            "gravity was estimated from the refraction; the verticals are determined to "
+            f"{metrics['gravity_sigma_deg']:.1f} degrees"
+        )
     if f"camera_rms_{unit}" in metrics:
         line = (
             f"against truth ({metrics['alignment']} alignment): cameras {metrics[f'camera_rms_{unit}']:.4f} {unit} RMS"

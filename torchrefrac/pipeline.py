@@ -1,6 +1,7 @@
 """The stages of a reconstruction as plain functions: photographs in, cameras and points out."""
 
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
@@ -13,14 +14,16 @@ from torchrefrac.config import Options
 from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.report.metrics import evaluate, summarize
-from torchrefrac.report.run_folder import RunFolder
+from torchrefrac.report.run_folder import RunFolder, describe_gravity
 from torchrefrac.scene import Capture, Reconstruction, load_truth
 from torchrefrac.sfm import (
     PinholeInitializer,
     PoseInitializer,
     RefractiveInitializer,
     SfmOptions,
+    UnknownVerticalError,
     VerifiedPair,
+    level_capture,
     reconstruct_sparse,
     verify_pairs,
 )
@@ -40,18 +43,24 @@ def reconstruct(
 ) -> Reconstruction:
     """Reconstruct cameras and sparse points of a capture.
 
-    `on_stage(name, product, seconds)` hears of every finished stage: "features" (list of Features), "matching" (list of
-    VerifiedPair), "sparse" (Reconstruction). Deterministic for given options. Raises ReconstructionError when no two
-    images can be related.
+    `on_stage(name, product, seconds)` hears of every finished stage: "features" (list of Features), "levelling" (Capture;
+    only where gravity is unknown and refraction can show it), "matching" (list of VerifiedPair), "sparse"
+    (Reconstruction). Deterministic for given options. Raises ReconstructionError when no two images can be related, or
+    no pair shows which way is down.
     """
     options = options or Options()
     recorder = recorder or SilentRecorder()
     stage = _Stages(on_stage)
     generator = torch.Generator().manual_seed(options.seed)
-    initializer, sfm = _initializer(capture, options, recorder)
 
     features = stage("features", lambda: _extract(capture, options, recorder))
-    pairs = stage("matching", lambda: _match(features, initializer, options, generator, recorder))
+    matches = stage.part("matching", lambda: _match(features, options, recorder))
+    ratio = options.water.ratio_of(capture.index_ratio)
+    if options.model.name == "refractive" and ratio > 1.0 and not capture.has_gravity:
+        unlevelled = capture
+        capture = stage("levelling", lambda: _level(unlevelled, matches, features, ratio, options, recorder))
+    initializer, sfm = _initializer(capture, ratio, options, recorder)
+    pairs = stage("matching", lambda: _verify(matches, features, initializer, options, generator, recorder))
     tracks = build_tracks(features, [pair.pair for pair in pairs])
     return stage(
         "sparse",
@@ -66,7 +75,7 @@ def run(capture: Capture, options: Options, recorder: Recorder, folder: Path) ->
     what was complete before.
     """
     files = RunFolder(folder)
-    with files.recording(model=options.model.name, capture=str(capture.folder.resolve())):
+    with files.recording(model=options.model.name, capture=str(capture.folder.resolve()), **describe_gravity(capture)):
         reconstruction = reconstruct(capture, options, recorder, files.stage_done)
         metrics = summarize(reconstruction)
         truth = load_truth(capture.folder)
@@ -84,19 +93,30 @@ class _Stages:
 
     def __init__(self, hook: StageHook | None) -> None:
         self._hook = hook
+        self._seconds: Counter[str] = Counter()
 
-    def __call__(self, name: str, work: Callable[[], Any]) -> Any:
+    def part(self, name: str, work: Callable[[], Any]) -> Any:
+        """Work that belongs to a stage which is not yet finished by it."""
         start = time.perf_counter()
         product = work()
+        self._seconds[name] += time.perf_counter() - start  # type: ignore[assignment]
+        return product
+
+    def __call__(self, name: str, work: Callable[[], Any]) -> Any:
+        product = self.part(name, work)
         if self._hook is not None:
-            self._hook(name, product, time.perf_counter() - start)
+            self._hook(name, product, self._seconds[name])
         return product
 
 
-def _initializer(capture: Capture, options: Options, recorder: Recorder) -> tuple[PoseInitializer, SfmOptions]:
-    """Pose initialiser and SfM options of the model that was asked for."""
+def _initializer(
+    capture: Capture, ratio: float, options: Options, recorder: Recorder
+) -> tuple[PoseInitializer, SfmOptions]:
+    """Pose initialiser and SfM options of the model that was asked for.
+
+    Without refraction a capture of unknown gravity is levelled by its optical axes: any frame is as good there.
+    """
     sfm = replace(options.sfm, bundle=replace(options.sfm.bundle, refine_radial=options.model.name == "radial"))
-    ratio = options.water.ratio_of(capture.index_ratio)
     if options.model.name != "refractive":
         return PinholeInitializer(capture, sfm), sfm
     if ratio == 1.0:
@@ -110,22 +130,40 @@ def _extract(capture: Capture, options: Options, recorder: Recorder) -> list[Fea
     return [extract_sift(path, options.features) for path in paths]
 
 
-def _match(
+def _match(features: list[Features], options: Options, recorder: Recorder) -> list[PairMatches]:
+    every = list(combinations(range(len(features)), 2))
+    return [
+        PairMatches(i, j, match(features[i].descriptors, features[j].descriptors, options.matching))
+        for i, j in recorder.track(every, len(every), "matching", "pair")
+    ]
+
+
+def _level(
+    capture: Capture,
+    matches: list[PairMatches],
+    features: list[Features],
+    ratio: float,
+    options: Options,
+    recorder: Recorder,
+) -> Capture:
+    try:
+        return level_capture(capture, matches, features, ratio, options.sfm, recorder)
+    except UnknownVerticalError as error:
+        raise ReconstructionError(str(error)) from None
+
+
+def _verify(
+    matches: list[PairMatches],
     features: list[Features],
     initializer: PoseInitializer,
     options: Options,
     generator: torch.Generator,
     recorder: Recorder,
 ) -> list[VerifiedPair]:
-    every = list(combinations(range(len(features)), 2))
-    pairs = [
-        PairMatches(i, j, match(features[i].descriptors, features[j].descriptors, options.matching))
-        for i, j in recorder.track(every, len(every), "matching", "pair")
-    ]
     least = options.sfm.min_pair_inliers
-    verified = verify_pairs(pairs, features, initializer, least, generator, recorder)
+    verified = verify_pairs(matches, features, initializer, least, generator, recorder)
     if not verified:
-        most = max(len(pair) for pair in pairs)
+        most = max(len(pair) for pair in matches)
         raise ReconstructionError(
             f"no pair of images has {least} matches that agree on a pose (the best pair has {most} matches before "
             "the check); the photographs must show the same textured surface from nearby places"

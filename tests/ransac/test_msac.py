@@ -15,7 +15,8 @@ class Location:
     """A model is a place (1); its error at a datum is the distance. Samples are answered with their mean.
 
     `answer` replaces the mean: the candidates of every sample (M) and which of them are valid (M). `better` moves a
-    place when it is optimised. What was asked is kept in `samples`, `screened`, and `optimized`: places, rows, and whether thoroughly.
+    place when it is optimised. What was asked is kept in `samples`, `screened`, and `optimized` (places, rows, and
+    whether thoroughly).
     """
 
     def __init__(self, data, sample_size=1, answer=None, better=None, hits=1.0, reason=""):

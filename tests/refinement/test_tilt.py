@@ -122,7 +122,7 @@ def test_second_derivatives_without_tilt_are_finite(cam_from_level):
     def sine(tilt):
         return tilted_rotation(cam_from_level[0], tilt, tilt.new_zeros(()))[..., 0, 0]
 
-    hessian = torch.autograd.functional.hessian(sine, torch.zeros(2, dtype=torch.float64))
+    hessian = torch.func.hessian(sine)(torch.zeros(2, dtype=torch.float64))
 
     assert hessian.isfinite().all()
 

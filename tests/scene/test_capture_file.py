@@ -27,6 +27,7 @@ def test_all_fields_arrive(write_capture):
     assert capture.names == ("a.png", "b.png")
     assert capture.index_ratio == 1.333
     assert capture.length_unit == "cm"
+    assert capture.has_gravity
     assert capture.down_sigma == pytest.approx(math.radians(0.5))
     assert capture.has_height.tolist() == [True, False]
     assert capture.height[0] == 30.0
@@ -38,6 +39,18 @@ def test_all_fields_arrive(write_capture):
 def test_a_lens_without_distortion_may_leave_it_out(write_capture):
     capture = load_capture(write_capture(lambda c: c["intrinsics"].pop("distortion")))
     assert capture.intrinsics.distortion.tolist() == [0.0] * 5
+
+
+def test_gravity_may_be_left_out_of_all_images(write_capture):
+    def strip(content):
+        del content["down_in_cam_sigma_deg"]
+        for image in content["images"]:
+            del image["down_in_cam"]
+
+    capture = load_capture(write_capture(strip))
+    assert not capture.has_gravity
+    assert capture.down_in_cam.tolist() == [[0.0, 0.0, 1.0]] * 2
+    assert capture.down_sigma == math.inf
 
 
 def test_the_embedded_scene_is_complete():
@@ -87,6 +100,8 @@ def _image(**values):
         (_image(down_in_cam=[0, 0, -1]), "a camera that looks at the sky"),
         (_image(down_in_cam=[0, 1]), r"images\[1\].down_in_cam is a list of 2, but must be a list of 3 numbers"),
         (_image(down_in_cam=[0, 0, "1"]), r"images\[1\].down_in_cam\[2\] is '1', but must be a number"),
+        (lambda c: c["images"][1].pop("down_in_cam"), r"down_in_cam of b.png is missing, but others have it; give it for"),
+        (lambda c: c.pop("down_in_cam_sigma_deg"), "down_in_cam_sigma_deg is missing"),
         (_image(height=0), r"images\[1\].height is 0, but a camera stands above the water"),
         (_image(hieght=3), r"images\[1\].hieght is not a known field"),
     ],

@@ -9,10 +9,11 @@ from torchrefrac.sfm import PairPose, SfmOptions, VerifiedPair
 from torchrefrac.sfm.initial_pair import rank_initial_pairs, start_from_pair
 
 OPTIONS = SfmOptions(min_initial_angle_deg=5.0)
+ANY = torch.zeros(2, 3)
 
 
-def _pair(first, matches, angle_deg, rotation=None, center=None):
-    pose = PairPose(rotation, center, torch.ones(matches, dtype=torch.bool), None, math.radians(angle_deg))
+def _pair(first, matches, angle_deg, rotation=ANY, center=ANY):
+    pose = PairPose(rotation, center, torch.ones(matches, dtype=torch.bool), math.radians(angle_deg))
     return VerifiedPair(PairMatches(first, first + 1, torch.zeros(matches, 2, dtype=torch.long)), pose, matches)
 
 
@@ -22,6 +23,12 @@ def test_wide_pairs_come_first_by_their_matches_then_narrow_ones_by_their_angle(
     ranked = rank_initial_pairs(pairs, OPTIONS)
 
     assert [pair.pair.first for pair in ranked] == [2, 4, 1, 3, 0]
+
+
+def test_pairs_whose_matches_determine_no_pose_are_left_out():
+    pairs = [_pair(0, 900, 0.0, None, None), _pair(1, 100, 20.0)]
+
+    assert [pair.pair.first for pair in rank_initial_pairs(pairs, OPTIONS)] == [1]
 
 
 def test_no_pairs_are_ranked_as_none():

@@ -5,9 +5,12 @@ from dataclasses import replace
 import pytest
 import torch
 
+from torchrefrac.camera import RefractiveCamera
 from torchrefrac.geometry import align_above_plane, align_similarity
 from torchrefrac.ransac import RansacOptions
+from torchrefrac.refraction import FlatInterface
 from torchrefrac.sfm import PinholeInitializer, RefractiveInitializer, SfmOptions
+from torchrefrac.sfm.rays import triangulate_rays
 
 OPTIONS = SfmOptions(ransac=RansacOptions(max_error=2.0))
 HARD = {"noise": 0.2, "outliers": 0.15, "gravity_error_deg": 0.5}
@@ -30,7 +33,9 @@ def test_the_pose_of_a_pair_is_found_in_spite_of_outliers_and_gravity_that_is_of
     assert (pose.inliers & right).sum() > 0.95 * right.sum()
     assert (pose.inliers & ~right).sum() < 0.03 * pose.inliers.sum()
     truth = survey.basin.points[track[pose.inliers & right]]
-    points = pose.points[pose.inliers & right]
+    camera = RefractiveCamera(survey.basin.lens, pose.rotation, pose.center, FlatInterface(index_ratio))
+    both = torch.stack((first, second), dim=1)[pose.inliers & right]
+    points, _, _ = triangulate_rays(camera, both, torch.ones(both.shape[:2], dtype=torch.bool))
     align = align_above_plane if index_ratio > 1.0 else align_similarity
     change = align(points, truth)
     assert (change.apply(points) - truth).norm(dim=-1).median() < 0.5

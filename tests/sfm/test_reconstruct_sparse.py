@@ -142,7 +142,7 @@ def test_an_image_whose_matches_are_all_wrong_is_left_out_and_does_no_harm(surve
 def test_an_image_that_was_refused_is_tried_again_when_it_sees_more_points(survey_of, generator):
     survey = survey_of(points=150)
     initializer = _Knowing(survey)
-    pose = PairPose(survey.basin.rotation[:2], survey.basin.center[:2], torch.ones(50, dtype=torch.bool), None, 0.5)
+    pose = PairPose(survey.basin.rotation[:2], survey.basin.center[:2], torch.ones(50, dtype=torch.bool), 0.5)
     pair = VerifiedPair(PairMatches(0, 1, torch.zeros(50, 2, dtype=torch.long)), pose, 50)
 
     result = reconstruct_sparse(

@@ -17,7 +17,7 @@ class Agreeing:
         self.asked.append((images, pixels))
         if self.inliers is None:
             return None
-        return PairPose(None, None, torch.arange(len(pixels[0])) < self.inliers, None, 0.1)
+        return PairPose(None, None, torch.arange(len(pixels[0])) < self.inliers, 0.1)
 
 
 def test_the_matches_that_agree_are_kept(survey_of, generator):

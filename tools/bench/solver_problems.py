@@ -25,8 +25,8 @@ HEADING_LIMIT_DEG = 0.2
 
 @dataclass(frozen=True)
 class Problem:
-    """Cameras rotation (2, 3, 3), center (2, 3) and points (N, 3) of the truth; pixels (2, N, 2) with noise, of which the
-    second one is random where not `right` (N); down_in_cam (2, 3) as measured."""
+    """Cameras rotation (2, 3, 3), center (2, 3) and points (N, 3) of the truth; pixels (2, N, 2) with noise, of which
+    the second one is random where not `right` (N); down_in_cam (2, 3) as measured."""
 
     rotation: Tensor
     center: Tensor
@@ -132,7 +132,7 @@ def make_problem(
 
 
 def looking_at(center: Tensor, aim: Tensor, roll: Tensor) -> Tensor:
-    """cam_from_world rotations (*B, 3, 3) of cameras that look from `center` to `aim`, turned by roll about their axis."""
+    """cam_from_world rotations (*B, 3, 3) of cameras that look from `center` to `aim`, rolled about their axis."""
     forward = torch.nn.functional.normalize(aim - center, dim=-1)
     north = forward.new_tensor((0.0, 1.0, 0.0)).expand_as(forward)
     right = torch.nn.functional.normalize(torch.linalg.cross(forward, north), dim=-1)

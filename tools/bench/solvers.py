@@ -1,4 +1,4 @@
-"""Success, accuracy and speed of the pose solvers and of RANSAC on one core, with PoseLib on the pinhole twin beside it.
+"""Success, accuracy and speed of the pose solvers and of RANSAC on one core, with PoseLib on the pinhole twin beside.
 
     python tools/bench/solvers.py [--problems 1000] [--workers 2] [--only minimal,relative,absolute,speed]
 
@@ -67,15 +67,16 @@ def _report_minimal(problems: int) -> None:
 
 
 def _solve_minimal(geometry: str, noise: float, seed: int) -> tuple[float, float, float]:
-    """Best candidate of each solver: error of the centre over the baseline (2-point: over the height); noise-free the
-    larger of it and the error of the heading."""
+    """Best valid candidate of each solver: error of the centre over the baseline (2-point: over the height); noise-free
+    the larger of it and the error of the heading."""
     problem = make_problem(geometry, 7, torch.Generator().manual_seed(seed), noise=noise)  # type: ignore[arg-type]
-    rays1, rays2 = (
-        level_rays(plane, level) for plane, level in zip(problem.plane, level_rotation(problem.down_in_cam), strict=True)
-    )
+    levels = level_rotation(problem.down_in_cam)
+    rays1, rays2 = (level_rays(plane, level) for plane, level in zip(problem.plane, levels, strict=True))
     height, truth = float(problem.center[0, 2]), problem.true_model()
-    four = tr.minimal.four_point(rays1[:4], rays2[:4], problem.index_ratio, height)
-    seven = tr.minimal.relative_pose_7pt(rays1, rays2, problem.index_ratio, height)
+    four = tr.minimal.relative_pose_4pt(rays1[:4], rays2[:4], problem.index_ratio, height)
+    # The n-point form of the 7-point solver keeps poses with a point above the water, where noise can put one.
+    linear = tr.minimal.relative_pose_7pt if noise == 0.0 else tr.minimal.relative_pose_npt
+    seven = linear(rays1, rays2, problem.index_ratio, height)
     two = tr.minimal.absolute_pose_2pt(rays2[:2], problem.points[:2], problem.index_ratio)
     first_heading = float(_heading(problem, 0))
     absolute_truth = torch.cat(((truth[4] + first_heading)[None], problem.center[1]))
@@ -131,7 +132,7 @@ def _relative(geometry: str, outliers: float, gravity_deg: float, seed: int) -> 
 
 
 def _cramer_rao(problem: Problem) -> float:
-    """Root of the trace of the bound on the position, over the baseline: all true matches, gravity as known as it is."""
+    """Root of the trace of the bound on the position, over the baseline: from all true matches and gravity."""
     views = problem.two_views().rows(problem.right)
     truth, everything = problem.true_model()[None], torch.ones(1, len(views), dtype=torch.bool)
     covariance = torch.linalg.inv(views.linearize(truth, math.inf, everything).hessian[0]) * views.pixel_sigma**2

@@ -22,11 +22,12 @@ from torchrefrac.ransac import level_rays
 from torchrefrac.ransac.degeneracy import MAX_UNCERTAINTY
 
 COLORS = {"tank": "#1b3a57", "drone": "#c0392b"}
+WATER = 1.333
 GRAVITY_DEG = 2.0
 MAX_ERROR = 2.0
 NOISE = (0.05, 0.1, 0.2, 0.5, 1.0)
 MATCHES = (50, 100, 200, 500, 1000, 2000)
-ABOVE_ONE = tuple(10.0 ** (-3.0 + 2.7 * k / 15) for k in range(16))
+ABOVE_ONE = tuple(10.0 ** (-3.0 + 0.1 * k) for k in range(28))
 
 
 def main() -> None:
@@ -52,6 +53,7 @@ def draw_minimal(problems: int = 500) -> Figure:
     axes.set(xlabel="noise of a pixel coordinate (px)", ylabel="median position error (% of the baseline)")
     axes.set_title("Minimal samples, gravity exact")
     _logarithmic(axes, NOISE)
+    axes.set_yticks((0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0))
     return figure
 
 
@@ -74,7 +76,7 @@ def _minimal_errors(geometry: Geometry, noise: float, problems: int) -> tuple[fl
     return medians[0], medians[1]
 
 
-def draw_refinement(problems: int = 60) -> Figure:
+def draw_refinement(problems: int = 100) -> Figure:
     """RMS position error of linear and refined poses, and the Cramér-Rao bound, against the number of matches."""
     figure, panels = plt.subplots(1, 2, figsize=(10, 4.4), layout="constrained", sharey=True)
     for axes, geometry in zip(panels, GEOMETRIES, strict=True):
@@ -84,10 +86,11 @@ def draw_refinement(problems: int = 60) -> Figure:
         ):
             errors = torch.tensor([_refined_errors(geometry, count, gravity_deg, problems) for count in MATCHES])
             linear, refined, bound = 100.0 * errors.square().mean(dim=1).sqrt().T
-            axes.plot(MATCHES, linear, "s:", color=color, ms=4, lw=1.0, label=f"linear n-point, {label}")
+            if gravity_deg == 0.0:
+                axes.plot(MATCHES, linear, "s:", color="0.5", ms=4, lw=1.0, label=f"linear n-point, {label}")
             axes.plot(MATCHES, refined, "o", color=color, ms=6, label=f"refined, {label}")
             axes.plot(MATCHES, bound, "-", color=color, lw=1.2, label=f"Cramér-Rao bound, {label}")
-        axes.set(xlabel="matches", title=f"{geometry}, {PIXEL_SIGMA:g} px")
+        axes.set(xlabel="matches", title=f"{geometry}, {PIXEL_SIGMA:g} px", ylim=(0.04, 60.0))
         _logarithmic(axes, MATCHES)
     panels[0].set_ylabel("RMS position error (% of the baseline)")
     panels[1].get_legend().remove()
@@ -95,19 +98,17 @@ def draw_refinement(problems: int = 60) -> Figure:
 
 
 def _refined_errors(geometry: Geometry, count: int, gravity_deg: float, problems: int) -> list[tuple[float, ...]]:
-    """Position errors of the linear and of the refined pose, and their bound, of each problem."""
+    """Position errors of the linear pose and of the minimum next to the truth, and their bound, of each problem."""
     rows = []
     for seed in range(problems):
         generator = torch.Generator().manual_seed(seed)
         problem = make_problem(geometry, count, generator, gravity_error_deg=gravity_deg)
         # An angle in a random direction is 1 / sqrt(2) of it about each of the two axes of a tilt.
         problem = replace(problem, gravity_sigma=problem.gravity_sigma / math.sqrt(2.0))
-        height = float(problem.center[0, 2])
+        height, truth = float(problem.center[0, 2]), problem.true_model()
         heading, center, _ = tr.minimal.relative_pose_npt(*_level_rays(problem), problem.index_ratio, height)
-        linear = torch.cat((heading.new_zeros(4), heading[:1], center[0]))
-        views = problem.two_views()
-        near = views.refine(linear[None], math.inf, 20).states
-        refined = views.refine(near, MAX_ERROR, 20).states[0]
+        linear = torch.cat((truth[:4], heading[:1], center[0]))
+        refined = problem.two_views().refine(truth[None], MAX_ERROR, 20).states[0]
         rows.append((problem.relative_errors(linear)[0], problem.relative_errors(refined)[0], _bound(problem)))
     return rows
 
@@ -125,13 +126,12 @@ def draw_index(problems: int = 20, count: int = 1000) -> Figure:
             axes.plot(ABOVE_ONE, median, style, color=COLORS[geometry], label=f"{geometry}, {label}")
     limit = 100.0 * MAX_UNCERTAINTY
     axes.axhline(limit, color="0.4", lw=1.0, ls=":")
-    axes.annotate("above: degenerate", (0.5, limit), xytext=(0, 3), textcoords="offset points", ha="right", color="0.3")
-    axes.axvline(0.333, color="#9cc6e2", lw=1.0)
-    axes.annotate("water", (0.333, 0.02), xycoords=("data", "axes fraction"), xytext=(-3, 0), textcoords="offset points")
-    axes.texts[-1].set(ha="right", color="#3b7ea8")
+    axes.text(0.5, 1.08 * limit, "above: degenerate", ha="right", color="0.3")
+    axes.axvline(WATER - 1.0, color="#9cc6e2", lw=1.0)
+    axes.text(WATER - 1.01, 0.045, "water", ha="right", color="#3b7ea8")
     axes.set(xlabel="index ratio", ylabel="uncertainty of the position (% of the baseline)")
     axes.set_title(f"Cramér-Rao bound, {count} matches, {PIXEL_SIGMA:g} px")
-    _logarithmic(axes, (0.001, 0.003, 0.01, 0.03, 0.1, 0.333))
+    _logarithmic(axes, (0.001, 0.003, 0.01, 0.03, 0.1, WATER - 1.0))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda above, _: f"{1.0 + above:.4g}"))
     return figure
 

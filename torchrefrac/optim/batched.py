@@ -43,7 +43,8 @@ def minimize_each(
 ) -> SmallReport:
     """Minimise each problem from its own state (K, D); no state ends worse than it began.
 
-    A problem has converged when the decrease that its model still promises is below `tolerance` of its cost.
+    A problem has converged when the decrease that its model still promises is below `tolerance` of its cost. One that
+    starts from an impossible state, or whose model has no minimum at any damping, does not.
     """
     current = problems.linearize(states)
     damp = torch.full_like(current.cost, damping)
@@ -51,11 +52,12 @@ def minimize_each(
     for _ in range(max_iterations):
         step = solve_damped(current, damp)
         promised = -0.5 * (current.gradient * step).sum(dim=-1)
-        converged = converged | (promised <= tolerance * current.cost)
+        solved = step.any(dim=-1) | ~current.gradient.any(dim=-1)
+        converged = converged | (solved & current.cost.isfinite() & (promised <= tolerance * current.cost))
         if bool(converged.all()):
             break
         tried = problems.linearize(states + step)
-        better = (tried.cost <= current.cost) & ~converged
+        better = solved & tried.cost.isfinite() & (tried.cost <= current.cost) & ~converged
         states = torch.where(better[:, None], states + step, states)
         current = Quadratic(
             torch.where(better, tried.cost, current.cost),

@@ -63,4 +63,4 @@ class AbsolutePoseEstimator:
 QUICK = ((4.0, 2), (2.0, 2), (1.0, 2))
 THOROUGH = ((1.0, 12),)
 TIGHTENED = 6
-"""Stages of the optimisation: how far max_error is widened, and iterations; those after it is tightened to the noise."""
+"""Stages of the optimisation: how far max_error is widened, and iterations; those with it tightened to the noise."""

@@ -1,8 +1,8 @@
 """When the matches that agree on a pose do not determine it: said from the information that they carry.
 
 The covariance of the pose follows from its quadratic model, pixels of `pixel_sigma` and gravity as a prior. Where it is
-as large as the pose itself, any pose of a whole family explains the matches, and none is given. Both degenerate cases of
-Chang & Chen (ICCV 2011, section 3.4.1) and refraction that is too weak show themselves in this way.
+as large as the pose itself, any pose of a whole family explains the matches, and none is given. Both degenerate cases
+of Chang & Chen (ICCV 2011, section 3.4.1) and refraction that is too weak show themselves in this way.
 """
 
 import math

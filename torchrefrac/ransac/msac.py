@@ -1,9 +1,9 @@
 """The batched LO-MSAC loop. It draws, screens, optimises and stops; what a model is, only the estimator knows.
 
 Whole batches of minimal samples are solved and scored at once (MSAC: sum of squared errors truncated at max_error; Torr
-& Zisserman, CVIU 2000). Scoring has two stages. Every model is screened on a random part of the data, in single precision.
-The leaders of the batch are optimised a little on that part, and when the best of them beats all before, it is optimised
-thoroughly on all the data (local optimisation: Chum, Matas, Kittler, DAGM 2003) and judged there.
+& Zisserman, CVIU 2000). Scoring has two stages. Every model is screened on a random part of the data, in single
+precision. The leaders of the batch are optimised a little on that part, and when the best of them beats all before, it
+is optimised thoroughly on all the data (local optimisation: Chum, Matas, Kittler, DAGM 2003) and judged there.
 """
 
 import math
@@ -100,8 +100,9 @@ def ransac(estimator: Estimator, options: RansacOptions, generator: torch.Genera
     """Find the model that most data agree with.
 
     Deterministic for a given state of `generator`. Fails with a status, not with a model: "too_few_data";
-    "no_consensus", fewer than min_inliers data agree; "degenerate", they agree but do not determine it. Drawing ends when
-    so many samples were drawn that with `confidence` a good enough one was among them, at the best inlier ratio so far.
+    "no_consensus", fewer than min_inliers data agree; "degenerate", they agree but do not determine it. Drawing ends
+    when so many samples were drawn that with `confidence` a good enough one was among them, at the best inlier ratio
+    so far.
     """
     needed = max(estimator.sample_size + 1, options.min_inliers)
     if estimator.num_data < needed:

@@ -70,4 +70,4 @@ class RelativePoseEstimator:
 QUICK = ((2.0, 3), (1.0, 3))
 THOROUGH = ((1.0, 12),)
 TIGHTENED = 6
-"""Stages of the optimisation: how far max_error is widened, and iterations; those after it is tightened to the noise."""
+"""Stages of the optimisation: how far max_error is widened, and iterations; those with it tightened to the noise."""

@@ -33,7 +33,9 @@ LEADERS, FINALISTS = 24, 8
 ON_CONSENSUS, ON_ALL, TO_THE_END = ((3.0, 8), (1.0, 8)), ((3.0, 6), (1.0, 6)), ((1.0, 20),)
 """Stages of a refinement: how far max_error is widened, and the iterations."""
 AS_GOOD = 8.0
-CHANCE_FACTOR = 3.0
+"""How many wrong matches more another pose may have and still count as an explanation."""
+TIGHT, LEAST_ERROR, NORMAL = 3.5, 0.05, 1.4826
+CHANCE_FACTOR = 3
 MAX_SIGMA_DEG = 5.0
 UNKNOWNS = 8
 
@@ -67,13 +69,13 @@ def find_verticals(
 ) -> UnknownVertical:
     """Pose and verticals of two cameras from matches: ideal image coordinates plane1, plane2 (N, 2), focal (2) in pixels.
 
-    A match is an inlier within max_error pixels. Deterministic. "no_consensus": fewer than min_inliers agree, or
-    hardly more than among matches that are shuffled; "degenerate": sigma above MAX_SIGMA_DEG.
+    A match is an inlier within max_error pixels. Deterministic. "no_consensus": fewer agree than min_inliers and
+    CHANCE_FACTOR times as many as when the matches are shuffled; "degenerate": sigma above MAX_SIGMA_DEG.
     """
     require_data(plane1, plane2=plane2)
     require(index_ratio, "index_ratio", above=1.0)
     require(max_error, "max_error", above=0.0)
-    start = _pinhole(plane1, plane2, max_error / float(focal.mean())) if len(plane1) >= min_inliers else None
+    start = pinhole_rotation(plane1, plane2, max_error / float(focal.mean())) if len(plane1) >= min_inliers else None
     if start is None:
         return _nothing(plane1, f"a pinhole relative pose of {len(plane1)} matches does not exist")
     views = TwoViews(
@@ -96,7 +98,7 @@ def find_verticals(
     return _report(views, best, max_error, min_inliers)
 
 
-def _pinhole(plane1: Tensor, plane2: Tensor, threshold: float) -> tuple[Tensor, Tensor] | None:
+def pinhole_rotation(plane1: Tensor, plane2: Tensor, threshold: float) -> tuple[Tensor, Tensor] | None:
     """Relative rotation (3, 3) and consensus (N) of OpenCV's essential matrix."""
     one, two, lens = plane1.numpy(), plane2.numpy(), np.eye(3)
     essential, mask = cv2.findEssentialMat(one, two, lens, cv2.USAC_DEFAULT, 0.999, threshold)
@@ -164,6 +166,12 @@ def _agree(views: TwoViews, model: Tensor, max_error: float) -> Tensor:
     return (errors.possible & (errors.error.abs() < max_error))[0]
 
 
+def _threshold(views: TwoViews, model: Tensor, max_error: float) -> float:
+    """TIGHT standard deviations of the noise, from the median error of the inliers, and at most max_error."""
+    error = views.errors(model[None]).error[0].abs()[_agree(views, model, max_error)]
+    return min(max_error, max(TIGHT * NORMAL * float(error.median()), LEAST_ERROR)) if len(error) else max_error
+
+
 def _variance(views: TwoViews, model: Tensor, max_error: float) -> float:
     """Variance of an epipolar error, from the inliers, in squared pixels."""
     error = views.errors(model[None]).error[0][_agree(views, model, max_error)]
@@ -171,19 +179,25 @@ def _variance(views: TwoViews, model: Tensor, max_error: float) -> float:
 
 
 def _report(views: TwoViews, models: Tensor, max_error: float, min_inliers: int) -> UnknownVertical:
-    """The first of models (K, 8) that explain the matches equally well."""
+    """The first of models (K, 8) that explain the matches equally well.
+
+    It is refined once more at a threshold that follows from the noise, because a wrong match within max_error weighs as
+    much as many right ones.
+    """
     if not len(models):
         return _nothing(views.plane1, "no vertical gives a pose that places the second camera above the water")
+    tight = _threshold(views, models[0], max_error)
+    models = _refine(models, views, tight, TO_THE_END)
     inliers, shuffled = (
         _agree(v, models[0], max_error) for v in (views, replace(views, plane2=views.plane2.roll(len(views) // 2, 0)))
     )
-    needed = max(min_inliers, math.ceil(CHANCE_FACTOR * int(shuffled.sum())))
+    needed = min_inliers + CHANCE_FACTOR * int(shuffled.sum())
     count = int(inliers.sum())
     if count < needed:
         return _nothing(views.plane1, f"only {count} of {len(views)} matches agree on a pose, but {needed} must")
     rotations, centers = views.poses(models)
     down = -rotations[..., 2]
-    sigma = _sigma(views, models[0], down[0], max_error)
+    sigma = _sigma(views, models[0], down[0], tight)
     others = torch.atan2(torch.linalg.cross(down, down[:1].expand_as(down)).norm(dim=-1), (down * down[0]).sum(dim=-1))
     sigma = torch.maximum(sigma, others.amax(dim=0))
     degrees = math.degrees(float(sigma.amax()))

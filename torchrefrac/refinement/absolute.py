@@ -1,6 +1,6 @@
 """Refinement of the pose of one camera above water that sees known points, in water or in air.
 
-A model is a row of six numbers: the tilt (2) against the measured vertical (see `tilt`), the heading, and the centre (3).
+A model is a row of six numbers: the tilt (2) against the measured vertical (see `tilt`), the heading, the centre (3).
 The cost is half the sum of squared reprojection errors in pixels, exact through the water, truncated, plus gravity as a
 prior on the tilt.
 """
@@ -100,7 +100,7 @@ class OneView:
         for axis, at, seen, f in ((0, x, self._plane[0], self.focal[0]), (1, y, self._plane[1], self.focal[1])):
             residuals.append((at - seen) * f)
             scale = f * inverse
-            g = tuple(scale * torch.addcmul(r, at, t, value=-1.0) for r, t in zip(rows[axis], rows[2], strict=True))
+            g = triples.scaled(scale, triples.add_scaled(rows[axis], at, rows[2], sign=-1.0))
             jacobian.append(_of_pose(g, (ux, uy, lifted), by_height, by_square))
         square = residuals[0].square() + residuals[1].square()
         limit = max_error * max_error

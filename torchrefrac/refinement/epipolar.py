@@ -5,9 +5,10 @@ unit of z (m_k = v_xy / v_z, g_k^2 = n^2 + (n^2 - 1) |m_k|^2; Chang & Chen, ICCV
 
     f = (q_1 - q_2) x (w_1 - w_2) = 0,
 
-and they meet below the surface where (q_1 - q_2) . (w_1 - w_2) > 0. There is no epipolar line, but f is smooth in the four
-image coordinates, so that e = f / |df/d(u_1, u_2)| (Sampson) is, to first order in the noise, the length of the smallest
-correction of both pixels that makes the rays meet: the reprojection error of the best point, without finding the point.
+and they meet below the surface where (q_1 - q_2) . (w_1 - w_2) > 0. There is no epipolar line, but f is smooth in the
+four image coordinates, so that e = f / |df/d(u_1, u_2)| (Sampson) is, to first order in the noise, the length of the
+smallest correction of both pixels that makes the rays meet: the reprojection error of the best point, which need not be
+found.
 """
 
 from typing import NamedTuple
@@ -73,8 +74,8 @@ def epipolar_jacobian(
 ) -> EpipolarJacobian:
     """Error of matches in two views and its derivatives in both cameras.
 
-    Everything is linearised at the corrected pixels, where the rays meet (Gauss-Helmert). At the measured ones the noise
-    of the error and of its derivatives would be correlated, which biases the least-squares pose by more than its
+    Everything is linearised at the corrected pixels, where the rays meet (Gauss-Helmert). At the measured ones the
+    noise of the error and of its derivatives would be correlated, which biases the least-squares pose by more than its
     standard deviation.
     """
     seen = _constrain(first, second, focal, index_ratio)
@@ -83,7 +84,7 @@ def epipolar_jacobian(
         view._replace(plane=tuple(x - back * s / f for x, s, f in zip(view.plane, slopes, focal, strict=True)))
         for view, slopes in zip((first, second), seen.by_pixel, strict=True)
     ]
-    there = _constrain(*corrected, focal, index_ratio)
+    there = _constrain(corrected[0], corrected[1], focal, index_ratio)
     value = there.value
     for view, moved, slopes in zip((first, second), corrected, there.by_pixel, strict=True):
         for x, at, slope, f in zip(view.plane, moved.plane, slopes, focal, strict=True):
@@ -117,7 +118,8 @@ def _depth(gap: tuple[Tensor, Tensor], spread: tuple[Tensor, Tensor]) -> Tensor:
 
 
 class _Constraint(NamedTuple):
-    """f, where the rays meet, whether they go down, the derivatives of f in both rays v, in both pixels and in q_1, the sum of squares of those in pixels."""
+    """f, where the rays meet, whether they go down; the derivatives of f in both rays v, in both pixels and in q_1, and
+    the sum of squares of those in pixels."""
 
     value: Tensor
     depth: Tensor

@@ -5,8 +5,8 @@ A model is a row of eight numbers: the tilt of the first camera (2) and of the s
 heading 0. The cost is half the sum of squared epipolar errors in pixels (see `epipolar`), truncated, plus gravity as a
 prior on the tilts. To first order in the noise it is the bundle adjustment of both cameras and all points.
 
-A wrong match that happens to lie near its epipolar curve implies a depth anywhere along it. Near nadir the pose has weak
-directions in which a few of these can pull it away by many standard deviations, so that the fit is left to matches
+A wrong match that happens to lie near its epipolar curve implies a depth anywhere along it. Near nadir the pose has
+weak directions in which a few of these can pull it away by many standard deviations, so that the fit is left to matches
 whose depth is not far from that of the bulk.
 """
 
@@ -28,8 +28,8 @@ TENSORS = ("plane1", "plane2", "cam_from_level", "focal", "index_ratio")
 
 @dataclass(frozen=True)
 class TwoViews:
-    """N matches of two cameras: ideal image coordinates plane1, plane2 (N, 2), cam_from_level (2, 3, 3) from the measured
-    verticals, focal (2) in pixels, index_ratio (scalar), and the height of the first camera.
+    """N matches of two cameras: ideal image coordinates plane1, plane2 (N, 2), cam_from_level (2, 3, 3) from the
+    measured verticals, focal (2) in pixels, index_ratio (scalar), and the height of the first camera.
 
     gravity_sigma: expected error of a vertical in radians; 0 takes them for exact, infinity leaves the tilts free.
     pixel_sigma weighs pixels against it. known_heading: in radians, where it was measured too.

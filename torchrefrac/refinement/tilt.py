@@ -1,7 +1,7 @@
 """Rotations near a measured vertical, as a vector: cam_from_world = cam_from_level exp([t]x) R_z(heading).
 
-t = (t_x, t_y, 0) is the error of the measured vertical, a turn about a horizontal axis, in radians. A prior on gravity is
-one on the length of t, and t = 0 is what the solvers with known vertical find.
+t = (t_x, t_y, 0) is the error of the measured vertical, a turn about a horizontal axis, in radians. A prior on gravity
+is one on the length of t, and t = 0 is what the solvers with known vertical find.
 """
 
 import torch

@@ -1,6 +1,7 @@
 """The folder that a run leaves behind: results of every finished stage, and metrics.json that says how far it got."""
 
 import json
+import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ import numpy as np
 from torchrefrac.features import Features
 from torchrefrac.geometry import Similarity
 from torchrefrac.report.figures import draw_side_views, side_view
-from torchrefrac.scene import Reconstruction, Truth, write_cameras, write_points
+from torchrefrac.scene import Capture, Reconstruction, Truth, write_cameras, write_points
 from torchrefrac.scene.atomic import replacing
 from torchrefrac.sfm import VerifiedPair
 
@@ -51,6 +52,8 @@ class RunFolder:
         """Write what a stage made."""
         if name == "features":
             _write_features(product, self.folder / "features.npz")
+        elif name == "levelling":
+            self.metrics |= describe_gravity(product) | {"gravity": "estimated"}
         elif name == "matching":
             _write_matches(product, self.folder / "matches.npz")
         elif name == "sparse":
@@ -79,6 +82,13 @@ class RunFolder:
             self.metrics["reason"] = reason
         self.metrics["seconds_total"] = round(time.perf_counter() - start, 3)
         write_metrics(self.metrics, self.folder)
+
+
+def describe_gravity(capture: Capture) -> dict[str, Any]:
+    """The metrics that say whether gravity was measured, and how well it is known in degrees."""
+    if not capture.has_gravity:
+        return {"gravity": "unknown"}
+    return {"gravity": "measured", "gravity_sigma_deg": round(math.degrees(capture.down_sigma), 3)}
 
 
 def write_metrics(metrics: dict[str, Any], folder: Path) -> None:

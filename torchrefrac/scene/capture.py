@@ -14,9 +14,10 @@ class CaptureError(ValueError):
 
 @dataclass(frozen=True)
 class Capture:
-    """Photographs with shared intrinsics, each with the direction of gravity.
+    """Photographs with shared intrinsics, each with the direction of gravity where it is known.
 
-    names and paths of m images; down_in_cam (m, 3) unit vectors with an expected error of down_sigma radians;
+    names and paths of m images; down_in_cam (m, 3) unit vectors with an expected error of down_sigma radians, which
+    mean nothing unless has_gravity (they are the optical axes then, and down_sigma is infinite);
     height (m) above the water in length_unit where has_height (m) says that it was measured; index_ratio is
     n_water / n_air. folder: where the capture was read from; truth, if any, lies beside it.
     """
@@ -31,6 +32,7 @@ class Capture:
     height: Tensor
     has_height: Tensor
     length_unit: str
+    has_gravity: bool = True
 
     def __len__(self) -> int:
         return len(self.names)

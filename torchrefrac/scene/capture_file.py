@@ -1,5 +1,6 @@
 """Reading `capture.json` and checking it before anything is computed."""
 
+import math
 from pathlib import Path
 
 import cv2
@@ -13,14 +14,15 @@ FORMAT = "torchrefrac-capture/1"
 PIXEL_SHIFT = {"center": 0.5, "corner": 0.0}
 MAX_INDEX_RATIO = 3.0
 UNIT_TOLERANCE = 1e-3
+OPTICAL_AXIS = [0.0, 0.0, 1.0]
 
 
 def load_capture(folder: str | Path) -> Capture:
     """Read `folder`/capture.json; the images lie in `folder`/images.
 
     Raises CaptureError with one sentence for anything that cannot be right: a missing or unreadable image, an image of
-    another size, a missing or mistyped field, gravity that is no unit vector, a camera that looks at the sky, an index
-    ratio below 1 or beyond any liquid, fewer than two images, a name given twice.
+    another size, a missing or mistyped field, gravity of some images only, gravity that is no unit vector, a camera
+    that looks at the sky, an index ratio below 1 or beyond any liquid, fewer than two images, a name given twice.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -37,9 +39,7 @@ def load_capture(folder: str | Path) -> Capture:
     paths = tuple(folder / "images" / name for name in names)
     for path in paths:
         _check_image(path, intrinsics)
-    sigma = top.number("down_in_cam_sigma_deg")
-    if not 0.0 < sigma <= 30.0:
-        raise top.fail("down_in_cam_sigma_deg", f"is {sigma:g}, but must be above 0 and at most 30 degrees")
+    has_gravity = any("down_in_cam" in image for image in images)
     heights = [_height(image) for image in images]
     return Capture(
         folder=folder,
@@ -47,11 +47,14 @@ def load_capture(folder: str | Path) -> Capture:
         paths=paths,
         intrinsics=intrinsics,
         index_ratio=_index_ratio(top),
-        down_in_cam=torch.tensor([_gravity(image) for image in images], dtype=torch.float64),
-        down_sigma=sigma * torch.pi / 180.0,
+        down_in_cam=torch.tensor(
+            [_gravity(image) if has_gravity else OPTICAL_AXIS for image in images], dtype=torch.float64
+        ),
+        down_sigma=_gravity_sigma(top) if has_gravity else math.inf,
         height=torch.tensor([height or 1.0 for height in heights], dtype=torch.float64),
         has_height=torch.tensor([height is not None for height in heights]),
         length_unit=top.text("length_unit"),
+        has_gravity=has_gravity,
     )
 
 
@@ -98,7 +101,19 @@ def _names(images: list[Fields]) -> tuple[str, ...]:
     return tuple(names)
 
 
+def _gravity_sigma(top: Fields) -> float:
+    """In radians."""
+    sigma = top.number("down_in_cam_sigma_deg")
+    if not 0.0 < sigma <= 30.0:
+        raise top.fail("down_in_cam_sigma_deg", f"is {sigma:g}, but must be above 0 and at most 30 degrees")
+    return math.radians(sigma)
+
+
 def _gravity(image: Fields) -> list[float]:
+    if "down_in_cam" not in image:
+        raise image.fail(
+            "down_in_cam", f"of {image.text('name')} is missing, but others have it; give it for all images or for none"
+        )
     down = image.numbers("down_in_cam", 3)
     norm = sum(x * x for x in down) ** 0.5
     if abs(norm - 1.0) > UNIT_TOLERANCE:

@@ -6,6 +6,7 @@ from torchrefrac.sfm.pinhole import PinholeInitializer
 from torchrefrac.sfm.pose import PairPose, Pose, PoseInitializer
 from torchrefrac.sfm.refractive import RefractiveInitializer
 from torchrefrac.sfm.verification import VerifiedPair, verify_pairs
+from torchrefrac.sfm.vertical import UnknownVerticalError, level_capture
 
 __all__ = [
     "NoInitialPairError",
@@ -15,7 +16,9 @@ __all__ = [
     "PoseInitializer",
     "RefractiveInitializer",
     "SfmOptions",
+    "UnknownVerticalError",
     "VerifiedPair",
+    "level_capture",
     "reconstruct_sparse",
     "verify_pairs",
 ]

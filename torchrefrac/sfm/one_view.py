@@ -1,8 +1,8 @@
-"""Polish the pose of one image: adjust, judge its points anew, adjust again."""
+"""Polish the pose of one image: adjust, judge its points anew, adjust again. That without refraction needs it."""
 
 from torch import Tensor
 
-from torchrefrac.bundle import BundleState, GravityPrior, adjust_pose
+from torchrefrac.bundle import BundleState, adjust_pose
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.sfm.options import SfmOptions
@@ -19,12 +19,11 @@ def refine_pose(
     intrinsics: Intrinsics,
     index_ratio: Tensor,
     options: SfmOptions,
-    gravity: GravityPrior | None = None,
 ) -> Pose:
     """Adjust one camera to its inliers, twice; inliers are then those within ransac.max_error."""
     for _ in range(ROUNDS):
         state = BundleState(pose.rotation[None], pose.center[None], points[pose.inliers], intrinsics)
-        report = adjust_pose(state, pixels[pose.inliers], index_ratio, options.bundle, gravity)
+        report = adjust_pose(state, pixels[pose.inliers], index_ratio, options.bundle)
         rotation, center = report.state.rotation[0], report.state.center[0]
         camera = RefractiveCamera(intrinsics, rotation, center, FlatInterface(index_ratio), check=False)
         projected, valid = camera.project(points)

@@ -18,8 +18,8 @@ class Pose:
 
 @dataclass(frozen=True)
 class PairPose:
-    """Two cameras in a frame of their own: rotation (2, 3, 3), center (2, 3); inliers (N), and the median angle (radians)
-    between their rays. Without a pose where the inliers agree on one but do not determine it."""
+    """Two cameras in a frame of their own: rotation (2, 3, 3), center (2, 3); inliers (N), and the median angle
+    (radians) between their rays. Without a pose where the inliers agree on one but do not determine it."""
 
     rotation: Tensor | None
     center: Tensor | None

@@ -5,15 +5,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrefrac.camera import RefractiveCamera
 from torchrefrac.geometry import level_rotation
 from torchrefrac.ransac import AbsolutePoseEstimator, RelativePoseEstimator, ransac
 from torchrefrac.refinement import OneView, TwoViews
-from torchrefrac.refraction import FlatInterface
 from torchrefrac.scene import Capture
 from torchrefrac.sfm.options import SfmOptions
 from torchrefrac.sfm.pose import PairPose, Pose
-from torchrefrac.sfm.rays import opening_angle
+from torchrefrac.sfm.two_view import judge_pair
 
 
 @dataclass(frozen=True)
@@ -42,11 +40,7 @@ class RefractiveInitializer:
         if report.status != "success":
             return None
         rotation, center = (part[0] for part in views.poses(report.model[None]))
-        camera = RefractiveCamera(intrinsics, rotation, center, FlatInterface(self.index_ratio), check=False)
-        points = views.points(report.model[None])[0][report.inliers]
-        both = torch.stack(pixels, dim=1)[report.inliers]
-        present = torch.ones(both.shape[:2], dtype=torch.bool)
-        return PairPose(rotation, center, report.inliers, float(opening_angle(camera, both, present, points).median()))
+        return judge_pair(rotation, center, pixels, intrinsics, self.index_ratio, self.options.ransac.max_error)
 
     def absolute(self, image: int, pixels: Tensor, points: Tensor, generator: torch.Generator) -> Pose | None:
         intrinsics = self.capture.intrinsics

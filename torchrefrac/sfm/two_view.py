@@ -1,11 +1,11 @@
-"""Polish the pose of a pair: adjust, judge the matches anew, adjust again."""
+"""Polish the pose of a pair: adjust, judge the matches anew, adjust again. Those without refraction need it."""
 
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from torchrefrac.bundle import BundleOptions, BundleState, GravityPrior, adjust
+from torchrefrac.bundle import BundleOptions, BundleState, adjust
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.refraction import FlatInterface
@@ -27,7 +27,6 @@ def refine_pair(
     index_ratio: Tensor,
     options: BundleOptions,
     max_error: float,
-    gravity: GravityPrior | None = None,
 ) -> PairPose:
     """Two-view bundle adjustment from a rough pose: rotation (2, 3, 3), center (2, 3), pixels (N, 2) twice.
 
@@ -35,12 +34,12 @@ def refine_pair(
     The adjustment takes MAX_MATCHES of them, evenly: more do not change the verdict on the rest.
     """
     both = torch.stack(pixels, dim=1)
-    present = torch.ones(both.shape[:2], dtype=torch.bool)
     options = replace(options, refine_radial=False, solver=SOLVER)
+    pose = PairPose(rotation, center, inliers, 0.0)
     for _ in range(ROUNDS):
         rows = _thin(inliers.nonzero()[:, 0])
         camera = _cameras(intrinsics, rotation, center, index_ratio)
-        points, _, _ = triangulate_rays(camera, both[rows], present[rows])
+        points, _, _ = triangulate_rays(camera, both[rows], _both_seen(both[rows]))
         report = adjust(
             BundleState(rotation, center, points, intrinsics),
             camera=torch.arange(2).repeat(len(rows)),
@@ -48,18 +47,36 @@ def refine_pair(
             pixels=both[rows].flatten(0, 1),
             index_ratio=index_ratio,
             options=options,
-            gravity=gravity,
         )
         rotation, center = report.state.rotation, report.state.center
-        camera = _cameras(intrinsics, rotation, center, index_ratio)
-        points, angle, valid = triangulate_rays(camera, both, present)
-        projected, possible = camera.project(points[:, None])
-        error = (projected - both).norm(dim=-1).amax(dim=-1)
-        inliers = valid & possible.all(dim=-1) & (error < max_error)
+        pose = judge_pair(rotation, center, pixels, intrinsics, index_ratio, max_error)
+        inliers = pose.inliers
         if int(inliers.sum()) < MIN_INLIERS:
             break
+    return pose
+
+
+def judge_pair(
+    rotation: Tensor,
+    center: Tensor,
+    pixels: tuple[Tensor, Tensor],
+    intrinsics: Intrinsics,
+    index_ratio: Tensor,
+    max_error: float,
+) -> PairPose:
+    """Which matches, of points in the water or in air, reproject within max_error in both images of a pose."""
+    both = torch.stack(pixels, dim=1)
+    camera = _cameras(intrinsics, rotation, center, index_ratio)
+    points, angle, valid = triangulate_rays(camera, both, _both_seen(both))
+    projected, possible = camera.project(points[:, None])
+    error = (projected - both).norm(dim=-1).amax(dim=-1)
+    inliers = valid & possible.all(dim=-1) & (error < max_error)
     median = float(angle[inliers].median()) if bool(inliers.any()) else 0.0
     return PairPose(rotation, center, inliers, median)
+
+
+def _both_seen(both: Tensor) -> Tensor:
+    return torch.ones(both.shape[:2], dtype=torch.bool)
 
 
 def _thin(rows: Tensor) -> Tensor:

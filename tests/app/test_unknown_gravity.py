@@ -1,0 +1,50 @@
+"""Photographs without gravity, from the files to the summary."""
+
+import json
+
+import pytest
+
+
+@pytest.fixture
+def without_gravity(part_of_tank):
+    """`without_gravity(images)`: the folder of those images of the embedded scene, down_in_cam left out."""
+
+    def strip(images):
+        folder = part_of_tank(images)
+        content = json.loads((folder / "capture.json").read_text())
+        del content["down_in_cam_sigma_deg"]
+        for image in content["images"]:
+            del image["down_in_cam"]
+        (folder / "capture.json").write_text(json.dumps(content))
+        return folder
+
+    return strip
+
+
+def test_gravity_is_estimated_and_the_summary_says_how_well(torchrefrac, without_gravity, metrics, tmp_path):
+    ended = torchrefrac("scene=capture", f"scene.path={without_gravity(range(8))}", "out=run")
+    assert ended.status == 0
+    found = metrics(tmp_path / "run")
+    assert found["stages"] == ["features", "levelling", "matching", "sparse"]
+    assert found["gravity"] == "estimated"
+    assert 0.2 <= found["gravity_sigma_deg"] < 1.0
+    assert f"determined to {found['gravity_sigma_deg']:.1f} degrees" in ended.out
+    assert found["registered_images"] == 8
+    assert found["camera_rms_cm"] <= 0.05
+
+
+def test_a_model_without_refraction_has_no_use_for_gravity(torchrefrac, without_gravity, metrics, tmp_path):
+    folder = without_gravity([0, 1, 2])
+    ended = torchrefrac("scene=capture", f"scene.path={folder}", "model=none", "out=run")
+    assert ended.status == 0
+    found = metrics(tmp_path / "run")
+    assert found["stages"] == ["features", "matching", "sparse"]
+    assert found["gravity"] == "unknown"
+    assert "gravity_sigma_deg" not in found
+    assert found["registered_images"] == 3
+
+
+def test_measured_gravity_is_reported_as_such(torchrefrac, part_of_tank, metrics, tmp_path):
+    assert torchrefrac("scene=capture", f"scene.path={part_of_tank([0, 1])}", "out=run").status == 0
+    found = metrics(tmp_path / "run")
+    assert (found["gravity"], found["gravity_sigma_deg"]) == ("measured", 0.5)

@@ -1,0 +1,173 @@
+"""Which way is down in every image, where nobody measured it: from the refraction in pairs of images.
+
+Each image's best pairs are solved without verticals (see `ransac.unknown_vertical`). Those that agree on an image are
+averaged with the weights that their uncertainties give; the others are outliers. Where no pair shows it, a pinhole
+relative rotation to an image that has its vertical carries it over, good to a few degrees. An image that nothing relates
+to the others keeps its optical axis: it cannot be registered either.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchrefrac.features import Features, PairMatches
+from torchrefrac.geometry import rotate
+from torchrefrac.ransac import find_verticals, pinhole_rotation
+from torchrefrac.recorder import Recorder
+from torchrefrac.scene import Capture
+from torchrefrac.sfm.options import SfmOptions
+
+PAIRS_PER_IMAGE = 3
+LEAST_SIGMA = math.radians(0.2)
+PINHOLE_SIGMA = math.radians(5.0)
+FAR = 9.0
+"""Squared distance in standard deviations at which two verticals of one image contradict each other."""
+
+
+class UnknownVerticalError(RuntimeError):
+    """No pair of images shows which way is down."""
+
+
+@dataclass(frozen=True)
+class _Estimates:
+    """Verticals from single pairs: of `image` (E), down_in_cam (E, 3), sigma (E) in radians."""
+
+    image: Tensor
+    down_in_cam: Tensor
+    sigma: Tensor
+
+
+def level_capture(
+    capture: Capture,
+    pairs: Sequence[PairMatches],
+    features: Sequence[Features],
+    index_ratio: float,
+    options: SfmOptions,
+    recorder: Recorder,
+) -> Capture:
+    """The capture with estimated verticals. down_sigma: root mean square over the images, or the scatter between pairs of
+    one image where that is larger.
+
+    Raises UnknownVerticalError when no pair shows a vertical.
+    """
+    usable = sorted((pair for pair in pairs if len(pair) >= options.min_pair_inliers), key=len, reverse=True)
+    estimates, detail = _from_pairs(capture, _choose(usable), features, index_ratio, options, recorder)
+    if not len(estimates.image):
+        raise UnknownVerticalError(
+            f"capture.json has no down_in_cam, and which way is down in the images cannot be seen: {detail}; "
+            "measure down_in_cam of every image"
+        )
+    down, sigma = capture.down_in_cam.clone(), torch.full((len(capture),), torch.inf, dtype=torch.float64)
+    scatter = torch.zeros(len(capture), dtype=torch.float64)
+    for image in estimates.image.unique().tolist():
+        rows = estimates.image == image
+        down[image], sigma[image], scatter[image] = _mean(estimates.down_in_cam[rows], estimates.sigma[rows])
+    _carry_over(capture, usable, features, options, down, sigma)
+    for image in sigma.isinf().nonzero()[:, 0].tolist():
+        recorder.note(f"{capture.names[image]}: no pair relates it to the others, so that its vertical stays unknown")
+    known = sigma.isfinite()
+    overall = torch.maximum(_rms(sigma[known]), _rms(scatter[estimates.image.unique()]))
+    return replace(capture, down_in_cam=down, down_sigma=max(float(overall), LEAST_SIGMA), has_gravity=True)
+
+
+def _choose(pairs: Sequence[PairMatches]) -> list[PairMatches]:
+    """Of pairs in descending order those that are among the first PAIRS_PER_IMAGE of one of their images."""
+    seen: Counter[int] = Counter()
+    chosen = []
+    for pair in pairs:
+        if min(seen[pair.first], seen[pair.second]) < PAIRS_PER_IMAGE:
+            chosen.append(pair)
+        seen.update((pair.first, pair.second))
+    return chosen
+
+
+def _from_pairs(
+    capture: Capture,
+    pairs: Sequence[PairMatches],
+    features: Sequence[Features],
+    index_ratio: float,
+    options: SfmOptions,
+    recorder: Recorder,
+) -> tuple[_Estimates, str]:
+    """Both verticals of every pair that determines them, and why the first one that does not fails."""
+    image, down, sigma = [], [torch.zeros(0, 3, dtype=torch.float64)], [torch.zeros(0, dtype=torch.float64)]
+    detail = ""
+    if not pairs:
+        detail = f"no pair of images has {options.min_pair_inliers} matches"
+    for step, pair in enumerate(recorder.track(pairs, len(pairs), "levelling", "pair")):
+        found = find_verticals(
+            *_planes(capture, features, pair),
+            capture.intrinsics.focal,
+            index_ratio,
+            options.ransac.max_error,
+            options.min_pair_inliers,
+        )
+        recorder.scalar("levelling/inliers", int(found.inliers.sum()), step)
+        if found.status == "success":
+            image += [pair.first, pair.second]
+            down.append(found.down_in_cam)
+            sigma.append(found.sigma)
+        elif not detail:
+            detail = f"{capture.names[pair.first]} and {capture.names[pair.second]}: {found.detail}"
+    return _Estimates(torch.tensor(image, dtype=torch.long), torch.cat(down), torch.cat(sigma)), detail
+
+
+def _mean(down: Tensor, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Mean (3) of the verticals (k, 3) of one image that agree with the one that most agree with, its sigma, and the
+    scatter of those about it.
+
+    Where no majority agrees the most certain one is taken, as uncertain as a pinhole leaves it.
+    """
+    variance = sigma.square() + LEAST_SIGMA**2
+    apart = _angle(down[:, None], down).square() / (variance[:, None] + variance)
+    central = (apart.clamp(max=FAR).sum(dim=-1) + 0.1 * variance / variance.amax()).argmin()
+    weight = torch.where(apart[central] < FAR, 1.0 / variance, 0.0)
+    kept, total = int((weight > 0.0).sum()), weight.sum()
+    mean = torch.nn.functional.normalize((weight[:, None] * down).sum(dim=0), dim=0)
+    spread = (weight * _angle(down, mean).square()).sum() / total * (kept / max(kept - 1, 1))
+    alone = 2 * kept <= len(down)
+    return mean, torch.where(torch.tensor(alone), PINHOLE_SIGMA, total.rsqrt()), spread.sqrt()
+
+
+def _carry_over(
+    capture: Capture,
+    pairs: Sequence[PairMatches],
+    features: Sequence[Features],
+    options: SfmOptions,
+    down: Tensor,
+    sigma: Tensor,
+) -> None:
+    """Fill in, from image to image, the verticals (m, 3) whose sigma (m) is infinite, by the first pairs that can."""
+    left = list(pairs)
+    threshold = options.ransac.max_error / float(capture.intrinsics.focal.mean())
+    while bridges := [pair for pair in left if sigma[[pair.first, pair.second]].isinf().sum() == 1]:
+        pair = bridges[0]
+        left.remove(pair)
+        found = pinhole_rotation(*_planes(capture, features, pair), threshold)
+        if found is None or int(found[1].sum()) < options.min_pair_inliers:
+            continue
+        known, other, turn = pair.first, pair.second, found[0]
+        if bool(sigma[known].isinf()):
+            known, other, turn = other, known, turn.mT
+        down[other] = rotate(turn, down[known])
+        sigma[other] = torch.hypot(sigma[known], torch.as_tensor(PINHOLE_SIGMA, dtype=sigma.dtype))
+
+
+def _planes(capture: Capture, features: Sequence[Features], pair: PairMatches) -> tuple[Tensor, Tensor]:
+    """Ideal image coordinates (N, 2) of the matches in both images."""
+    one, two = (features[i].pixels[pair.matches[:, k]] for k, i in enumerate((pair.first, pair.second)))
+    return capture.intrinsics.plane_from_pixels(one), capture.intrinsics.plane_from_pixels(two)
+
+
+def _angle(one: Tensor, two: Tensor) -> Tensor:
+    """Angle (*B) between unit vectors (*B, 3)."""
+    one, two = torch.broadcast_tensors(one, two)
+    return torch.atan2(torch.linalg.cross(one, two).norm(dim=-1), (one * two).sum(dim=-1))
+
+
+def _rms(values: Tensor) -> Tensor:
+    return values.square().mean().sqrt()
