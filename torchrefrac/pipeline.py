@@ -43,10 +43,10 @@ def reconstruct(
 ) -> Reconstruction:
     """Reconstruct cameras and sparse points of a capture.
 
-    `on_stage(name, product, seconds)` hears of every finished stage: "features" (list of Features), "levelling" (Capture;
-    only where gravity is unknown and refraction can show it), "matching" (list of VerifiedPair), "sparse"
-    (Reconstruction). Deterministic for given options. Raises ReconstructionError when no two images can be related, or
-    no pair shows which way is down.
+    `on_stage(name, product, seconds)` hears of every finished stage: "features" (list of Features), "levelling" (the
+    capture with estimated verticals; only where gravity is unknown and refraction can show it), "matching" (list of
+    VerifiedPair), "sparse" (Reconstruction). Deterministic for given options. Raises ReconstructionError when no two
+    images can be related, or no pair shows which way is down.
     """
     options = options or Options()
     recorder = recorder or SilentRecorder()

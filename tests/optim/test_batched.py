@@ -47,7 +47,7 @@ class Squares:
 
 def valley(x, data):
     """Rosenbrock's valley, its bend and its end given by data (K, 2)."""
-    return torch.stack((10.0 * (x[:, 1] - data[:, 0] * x[:, 0] ** 2), data[:, 1] - x[:, 0]), dim=-1)
+    return torch.stack((3.0 * (x[:, 1] - data[:, 0] * x[:, 0] ** 2), data[:, 1] - x[:, 0]), dim=-1)
 
 
 def circle(x, data):

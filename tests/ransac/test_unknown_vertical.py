@@ -15,7 +15,7 @@ from torchrefrac.ransac.unknown_vertical import MAX_SIGMA_DEG
 
 @dataclass(frozen=True)
 class Pair:
-    """basin: the truth; plane (2, N, 2) of its points, of which those not `right` (N) are random in the second image."""
+    """basin: the truth; plane (2, N, 2) of its points, of which those not `right` (N) are random in image two."""
 
     basin: Any
     plane: Tensor
@@ -43,16 +43,14 @@ def make_pair(make_basin, draw):
 
 
 def test_verticals_are_found_within_a_degree_and_as_well_as_their_sigma_says(make_pair):
-    near, normalised, offs, sig = [], [], [], []
+    near, normalised = [], []
     for _ in range(20):
-        pair = make_pair(points=300, outliers=90)
+        pair = make_pair(points=1000, outliers=300)
         found = pair.solve()
         assert found.status == "success"
         off = pair.off(found)
-        offs.append(off); sig.append(found.sigma)
         near.append(bool((off < math.radians(1.0)).all()))
         normalised.append(off / found.sigma)
-    print([[round(math.degrees(float(x)),2) for x in o] for o in offs], [[round(math.degrees(float(x)),2) for x in o] for o in sig], torch.stack(normalised).square().mean().sqrt())
     assert sum(near) >= 18
     assert 0.6 < float(torch.stack(normalised).square().mean().sqrt()) < 1.5
 
@@ -61,7 +59,7 @@ def test_the_pose_comes_with_the_verticals(make_pair):
     pair = make_pair()
     found = pair.solve()
 
-    heading, center = pair.basin.second_from_first()
+    _, center = pair.basin.second_from_first()
     height = pair.basin.center[0, 2]
     torch.testing.assert_close(found.center[0], found.center.new_tensor((0.0, 0.0, 1.0)))
     torch.testing.assert_close(found.center[1] * height, center, rtol=0.0, atol=0.5)
@@ -82,12 +80,16 @@ def test_the_same_matches_give_the_same_bits(make_pair):
     assert torch.equal(pair.solve().rotation, pair.solve().rotation)
 
 
-def test_a_pinhole_alone_is_degrees_off_and_misses_right_matches(make_pair):
+def test_a_pinhole_gets_the_relative_rotation_wrong_by_far_more_than_the_search_it_starts(make_pair):
     pair = make_pair(outliers=0)
     rotation, inliers = pinhole_rotation(*pair.plane, 4.0 / 667.0)
+    found = pair.solve()
+
     turned = pair.basin.rotation[1] @ pair.basin.rotation[0].mT
-    assert math.radians(0.5) < so3_log(rotation @ turned.mT).norm() < math.radians(15.0)
-    assert 0.3 < inliers.double().mean() < 0.95
+    off = so3_log(rotation @ turned.mT).norm()
+    assert math.radians(0.5) < off < math.radians(15.0)
+    assert so3_log(found.rotation[1] @ found.rotation[0].mT @ turned.mT).norm() < 0.2 * off
+    assert inliers.sum() < found.inliers.sum() == 500
 
 
 def test_refraction_that_is_too_weak_is_degenerate_and_says_how_uncertain(make_pair):

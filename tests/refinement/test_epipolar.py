@@ -93,11 +93,12 @@ def test_exact_matches_have_no_error_and_the_depth_of_their_point(make_pair, til
     pair = make_pair(4, tilt=tilt, index_ratio=index_ratio)
 
     error = pair.error
+    first, second = pair.views
 
     assert error.error.abs().max() < 1e-9
     torch.testing.assert_close(error.depth, -pair.points[..., 2], rtol=1e-9, atol=0.0)
     assert error.possible.all()
-    torch.testing.assert_close(meeting_points(*pair.views, pair.index_ratio), pair.points, rtol=0.0, atol=1e-7)
+    torch.testing.assert_close(meeting_points(first, second, pair.index_ratio), pair.points, rtol=0.0, atol=1e-7)
 
 
 @pytest.mark.parametrize("sigma", [0.3, 1.0, 2.0])
@@ -152,15 +153,20 @@ def test_points_above_the_water_have_a_negative_depth_and_are_not_possible(make_
     assert error.possible.tolist() == [False] * 8 + [True] * 12
 
 
-def test_rays_that_go_up_are_not_possible(make_pair):
+@pytest.mark.parametrize("up", [[0], [1], [0, 1]], ids=["first", "second", "both"])
+def test_rays_that_go_up_are_not_possible_even_if_their_lines_meet_in_the_water(make_pair, up):
+    """Turned by half a turn about x and mirrored, a camera sees the same lines from behind."""
     pair = make_pair(points=10)
-    skywards = so3_exp(pair.rotation.new_tensor((torch.pi, 0.0, 0.0)))
-    one_up = replace(pair, rotation=torch.stack((pair.rotation[0], pair.rotation[1] @ skywards)))
-    both_up = replace(pair, rotation=pair.rotation @ skywards)
+    rotation, pixels = pair.rotation.clone(), pair.pixels.clone()
+    rotation[up] *= torch.tensor((1.0, -1.0, -1.0), dtype=torch.float64)[:, None]
+    pixels[up, :, 0] = pair.lens.width - pixels[up, :, 0]
 
-    assert not one_up.error.possible.any()
-    assert not both_up.error.possible.any()
-    assert not both_up.error.down.any()
+    error = replace(pair, rotation=rotation, pixels=pixels).error
+
+    assert error.error.abs().max() < 1e-9
+    assert (error.depth > 0.0).all()
+    assert not error.down.any()
+    assert not error.possible.any()
 
 
 @pytest.mark.parametrize(("index_ratio", "tolerance"), [(1.0, 2e-3), (1.0001, 0.02)])

@@ -133,7 +133,7 @@ def test_leading_dimensions_broadcast(draw):
     rotation = tilted_rotation(level, tilt, heading)
 
     assert rotation.shape == (5, 2, 3, 3)
-    assert torch.equal(rotation[3, 1], tilted_rotation(level[1], tilt[3, 1], heading[3, 0]))
+    assert_matches(rotation[3, 1], tilted_rotation(level[1], tilt[3, 1], heading[3, 0]))
 
 
 def _cross(v: Tensor) -> Tensor:

@@ -100,7 +100,10 @@ def _image(**values):
         (_image(down_in_cam=[0, 0, -1]), "a camera that looks at the sky"),
         (_image(down_in_cam=[0, 1]), r"images\[1\].down_in_cam is a list of 2, but must be a list of 3 numbers"),
         (_image(down_in_cam=[0, 0, "1"]), r"images\[1\].down_in_cam\[2\] is '1', but must be a number"),
-        (lambda c: c["images"][1].pop("down_in_cam"), r"down_in_cam of b.png is missing, but others have it; give it for"),
+        (
+            lambda c: c["images"][1].pop("down_in_cam"),
+            r"down_in_cam of b.png is missing, but others have it",
+        ),
         (lambda c: c.pop("down_in_cam_sigma_deg"), "down_in_cam_sigma_deg is missing"),
         (_image(height=0), r"images\[1\].height is 0, but a camera stands above the water"),
         (_image(hieght=3), r"images\[1\].hieght is not a known field"),

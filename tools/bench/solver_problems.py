@@ -126,9 +126,8 @@ def make_problem(
     down = -rotation[..., 2]
     sideways = torch.nn.functional.normalize(torch.linalg.cross(down, normal(2, 3)), dim=-1)
     measured = rotate(so3_exp(math.radians(gravity_error_deg) * sideways), down)
-    return Problem(
-        rotation, center, world, pixels, right, measured, focal, index_ratio, math.radians(gravity_error_deg)
-    )
+    sigma = math.radians(gravity_error_deg) / math.sqrt(2.0)
+    return Problem(rotation, center, world, pixels, right, measured, focal, index_ratio, sigma)
 
 
 def looking_at(center: Tensor, aim: Tensor, roll: Tensor) -> Tensor:

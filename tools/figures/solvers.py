@@ -126,7 +126,7 @@ def draw_index(problems: int = 20, count: int = 1000) -> Figure:
             axes.plot(ABOVE_ONE, median, style, color=COLORS[geometry], label=f"{geometry}, {label}")
     limit = 100.0 * MAX_UNCERTAINTY
     axes.axhline(limit, color="0.4", lw=1.0, ls=":")
-    axes.text(0.5, 1.08 * limit, "above: degenerate", ha="right", color="0.3")
+    axes.text(0.5, 1.15 * limit, "above: degenerate", ha="right", color="0.3")
     axes.axvline(WATER - 1.0, color="#9cc6e2", lw=1.0)
     axes.text(WATER - 1.01, 0.045, "water", ha="right", color="#3b7ea8")
     axes.set(xlabel="index ratio", ylabel="uncertainty of the position (% of the baseline)")

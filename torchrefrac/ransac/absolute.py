@@ -60,7 +60,7 @@ class AbsolutePoseEstimator:
         return explain_absolute(self.view.rows(inliers), model)
 
 
-QUICK = ((4.0, 2), (2.0, 2), (1.0, 2))
+QUICK = ((4.0, 2), (1.0, 2))
 THOROUGH = ((1.0, 12),)
 TIGHTENED = 6
 """Stages of the optimisation: how far max_error is widened, and iterations; those with it tightened to the noise."""

@@ -22,13 +22,13 @@ def tilted_samples(gravity_sigma: float, focal: Tensor) -> float:
 
 
 def tightened(squared_errors: Tensor, max_error: float) -> float:
-    """Four robust standard deviations of the errors within max_error, at most max_error: a limit for the last fit.
+    """Three robust standard deviations of the errors within max_error, at most max_error: a limit for the last fit.
 
     The standard deviation is 1.4826 times the median of what lies within, as for noise without outliers.
     """
     within = torch.where(squared_errors < max_error * max_error, squared_errors, torch.nan)
     sigma = 1.4826 * float(torch.nanmedian(within).sqrt())
-    return min(max_error, 4.0 * sigma) if sigma > 0.0 else max_error
+    return min(max_error, 3.0 * sigma) if sigma > 0.0 else max_error
 
 
 def require_data(plane: Tensor, **others: Tensor) -> None:

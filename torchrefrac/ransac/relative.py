@@ -68,6 +68,6 @@ class RelativePoseEstimator:
 
 
 QUICK = ((2.0, 3), (1.0, 3))
-THOROUGH = ((1.0, 12),)
+THOROUGH = ((1.0, 40),)
 TIGHTENED = 6
 """Stages of the optimisation: how far max_error is widened, and iterations; those with it tightened to the noise."""

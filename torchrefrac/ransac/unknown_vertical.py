@@ -1,11 +1,11 @@
 """Relative pose of two cameras above water when nobody measured which way is down: the water itself shows it.
 
 With both verticals known the pose follows linearly from the matches (Chang & Chen, ICCV 2011, section 3.4.1). Without
-them two of the four tilts go to a pinhole relative pose: its rotation R_21 is a few degrees off through water, but takes
-a vertical of the first camera to one of the second, so that two angles are left to try. Each direction of a grid over
-the cap of CAP_DEG about the optical axis gives one linear pose; the best by their refractive epipolar errors are refined
-in all eight unknowns (see `TwoViews`, gravity_sigma infinite), and the search is repeated with the rotation and the
-inliers that came out, because a pinhole agrees only with a part of the right matches.
+them a pinhole relative pose helps: its rotation R_21 is a few degrees off through water, but takes a vertical of the
+first camera to one of the second, so that two of four angles are left to try. Each direction of a grid over the cap of
+CAP_DEG about the optical axis gives one linear pose; those with the least refractive epipolar errors are refined in all
+eight unknowns (see `TwoViews`, gravity_sigma infinite), and the search is repeated with the rotation and the inliers
+that came out, because a pinhole agrees only with a part of the right matches.
 
 How well a vertical is determined follows from the Hessian, and from the other poses that explain the matches as well.
 Fails where refraction is weak: the index near 1, or rays near the vertical only, so that any plane does.
@@ -45,7 +45,8 @@ Status = Literal["success", "no_consensus", "degenerate"]
 @dataclass(frozen=True)
 class UnknownVertical:
     """rotation (2, 3, 3) cam_from_world and center (2, 3) of cameras of which the first stands at (0, 0, 1) with
-    heading 0; inliers (N); down_in_cam (2, 3), and sigma (2): the root-mean-square angle in radians by which each is off.
+    heading 0; inliers (N); down_in_cam (2, 3), and sigma (2): the expected root-mean-square angle in radians to the
+    true ones.
 
     A failure keeps what was found; without a consensus that is nothing and sigma is infinite. `detail` says why.
     """
@@ -67,7 +68,7 @@ def find_verticals(
     max_error: float = 4.0,
     min_inliers: int = 20,
 ) -> UnknownVertical:
-    """Pose and verticals of two cameras from matches: ideal image coordinates plane1, plane2 (N, 2), focal (2) in pixels.
+    """Pose and verticals of two cameras from matches: ideal image coordinates plane1, plane2 (N, 2), focal (2) in px.
 
     A match is an inlier within max_error pixels. Deterministic. "no_consensus": fewer agree than min_inliers and
     CHANCE_FACTOR times as many as when the matches are shuffled; "degenerate": sigma above MAX_SIGMA_DEG.

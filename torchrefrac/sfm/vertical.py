@@ -2,8 +2,8 @@
 
 Each image's best pairs are solved without verticals (see `ransac.unknown_vertical`). Those that agree on an image are
 averaged with the weights that their uncertainties give; the others are outliers. Where no pair shows it, a pinhole
-relative rotation to an image that has its vertical carries it over, good to a few degrees. An image that nothing relates
-to the others keeps its optical axis: it cannot be registered either.
+relative rotation to an image that has its vertical carries it over, good to a few degrees. An image that nothing
+relates to the others keeps its optical axis: it cannot be registered either.
 """
 
 import math
@@ -49,8 +49,8 @@ def level_capture(
     options: SfmOptions,
     recorder: Recorder,
 ) -> Capture:
-    """The capture with estimated verticals. down_sigma: root mean square over the images, or the scatter between pairs of
-    one image where that is larger.
+    """The capture with estimated verticals. down_sigma: root mean square over the images, or the scatter between the
+    pairs of one image where that is larger.
 
     Raises UnknownVerticalError when no pair shows a vertical.
     """
