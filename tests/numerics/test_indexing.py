@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from torchrefrac.numerics import like, pick
+from torchrefrac.numerics import like, pick, thin
 
 BATCH = (4, 3)
 INDICES = [
@@ -81,3 +81,12 @@ def test_numbers_and_tensors_take_the_dtype_of_what_they_stand_beside(dtype):
     for value in (1.333, 1, torch.tensor(1.333), torch.tensor([1.333], dtype=torch.float64)):
         assert like(value, reference).dtype == dtype
     assert like(reference, reference) is reference
+
+
+def test_thinning_keeps_both_ends_and_spreads_the_rest_evenly():
+    assert thin(torch.arange(10, 21), 3).tolist() == [10, 15, 20]
+
+
+@pytest.mark.parametrize("count", [5, 6])
+def test_few_rows_are_not_thinned(count):
+    assert thin(torch.arange(5), count).tolist() == [0, 1, 2, 3, 4]

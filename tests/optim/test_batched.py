@@ -10,7 +10,7 @@ from tolerances import DTYPES, assert_matches
 from torch import Tensor
 
 from torchrefrac.optim import Quadratic, minimize_each
-from torchrefrac.optim.batched import solve_damped
+from torchrefrac.optim.batched import covariance_of, solve_damped
 
 TIGHT = {"max_iterations": 200, "tolerance": 1e-15}
 
@@ -279,3 +279,25 @@ def test_the_states_handed_in_are_not_changed(problems):
     minimize_each(squares, start)
 
     assert torch.equal(start, before)
+
+
+def test_the_covariance_is_the_inverse_of_the_information_whatever_the_units(draw):
+    jacobian = draw.normal(5, 20, 4) * torch.tensor([1e-6, 1.0, 1e3, 1e6], dtype=torch.float64)
+    information = jacobian.mT @ jacobian
+
+    covariance, exists = covariance_of(information)
+
+    assert exists.all()
+    product = covariance @ information
+    torch.testing.assert_close(
+        product.diagonal(dim1=-2, dim2=-1), torch.ones(5, 4, dtype=torch.float64), rtol=1e-9, atol=1e-9
+    )
+
+
+def test_singular_information_has_no_covariance():
+    singular = torch.ones(1, 3, 3, dtype=torch.float64)
+
+    covariance, exists = covariance_of(torch.cat((singular, torch.eye(3, dtype=torch.float64)[None])))
+
+    assert exists.tolist() == [False, True]
+    assert covariance.isfinite().all()

@@ -47,7 +47,7 @@ def test_every_vertical_is_found_to_what_down_sigma_says(unlevelled):
     survey = unlevelled(cameras=4, points=400, noise=0.3, outliers=0.05)
     capture = level(survey, survey.pairs())
     assert capture.has_gravity
-    assert math.radians(0.2) <= capture.down_sigma < math.radians(1.0)
+    assert module.LEAST_DOWN_SIGMA <= capture.down_sigma < math.radians(1.0)
     assert angles(capture, survey).amax() < 3.0 * capture.down_sigma
 
 

@@ -3,7 +3,7 @@
 from torchrefrac.numerics.blocks import in_blocks
 from torchrefrac.numerics.circle import least_squares_on_circle
 from torchrefrac.numerics.four import adjugate_4x4, determinant_4x4
-from torchrefrac.numerics.indexing import pick
+from torchrefrac.numerics.indexing import pick, thin
 from torchrefrac.numerics.likeness import alike, like
 from torchrefrac.numerics.polynomial import real_roots
 from torchrefrac.numerics.precision import in_double
@@ -26,4 +26,5 @@ __all__ = [
     "roots_on_circle",
     "segment_sum",
     "smallest_eigenvector_2x2",
+    "thin",
 ]

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+import torch
 from torch import Tensor
 
 
@@ -18,3 +19,10 @@ def pick(value: Any, index: Any, batch: Sequence[int], event_dims: int = 0) -> A
         parts = (*parts, *(slice(None) for _ in range(event_dims)))
     event = value.shape[value.dim() - event_dims :]
     return value.expand(*batch, *event)[parts]
+
+
+def thin(rows: Tensor, count: int) -> Tensor:
+    """`count` of the rows (N), spread evenly, or all where there are fewer."""
+    if len(rows) <= count:
+        return rows
+    return rows[torch.linspace(0, len(rows) - 1, count, dtype=torch.float64, device=rows.device).round().long()]

@@ -1,6 +1,6 @@
 """Non-linear least squares for problems of two kinds of blocks; knows no cameras and no scenes."""
 
-from torchrefrac.optim.batched import Quadratic, SmallProblems, SmallReport, minimize_each, solve_damped
+from torchrefrac.optim.batched import Quadratic, SmallProblems, SmallReport, covariance_of, minimize_each, solve_damped
 from torchrefrac.optim.levenberg_marquardt import (
     LevenbergMarquardtOptions,
     Linearization,
@@ -23,6 +23,7 @@ __all__ = [
     "SmallProblems",
     "SmallReport",
     "Step",
+    "covariance_of",
     "huber",
     "minimize",
     "minimize_each",

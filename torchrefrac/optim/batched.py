@@ -80,3 +80,16 @@ def solve_damped(quadratic: Quadratic, damping: Tensor) -> Tensor:
     factor, info = torch.linalg.cholesky_ex(scaled)
     step = -torch.cholesky_solve((scale * quadratic.gradient)[..., None], factor)[..., 0] * scale
     return torch.where((info == 0)[:, None] & step.isfinite(), step, 0.0)
+
+
+def covariance_of(hessian: Tensor) -> tuple[Tensor, Tensor]:
+    """Inverses (K, D, D) of information matrices, and where they exist (K); zero where they do not."""
+    diagonal = hessian.diagonal(dim1=-2, dim2=-1)
+    scale = diagonal.clamp(min=torch.finfo(hessian.dtype).tiny).rsqrt()
+    outer = scale[..., :, None] * scale[..., None, :]
+    factor, info = torch.linalg.cholesky_ex(hessian * outer)
+    exists = info == 0
+    safe = torch.where(
+        exists[..., None, None], factor, torch.eye(len(scale[0]), dtype=scale.dtype, device=scale.device)
+    )
+    return torch.where(exists[..., None, None], torch.cholesky_inverse(safe) * outer, 0.0), exists

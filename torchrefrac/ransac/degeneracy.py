@@ -10,6 +10,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchrefrac.optim import covariance_of
 from torchrefrac.refinement import OneView, TwoViews
 
 MAX_UNCERTAINTY = 0.3
@@ -41,12 +42,10 @@ def explain_absolute(view: OneView, model: Tensor) -> str:
 
 def _sigma(hessian: Tensor, pixel_sigma: float, last: int) -> float:
     """Root of the summed variances of the last unknowns; infinite where the information is singular."""
-    scale = hessian.diagonal().clamp(min=torch.finfo(hessian.dtype).tiny).rsqrt()
-    factor, info = torch.linalg.cholesky_ex(hessian * scale[:, None] * scale)
-    if int(info) != 0:
+    covariance, exists = covariance_of(hessian[None])
+    if not bool(exists):
         return math.inf
-    variance = torch.cholesky_inverse(factor).diagonal() * scale.square()
-    return pixel_sigma * math.sqrt(float(variance[-last:].sum()))
+    return pixel_sigma * math.sqrt(float(covariance[0].diagonal()[-last:].sum()))
 
 
 def _reason(views: TwoViews, model: Tensor, centers: Tensor) -> str:

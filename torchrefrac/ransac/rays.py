@@ -6,6 +6,7 @@ from torch import Tensor
 from torchrefrac.checks import require
 
 TILT_PX = 20.0
+LEAST_LIMIT = 0.05
 
 
 def level_rays(plane: Tensor, cam_from_level: Tensor) -> Tensor:
@@ -22,13 +23,15 @@ def tilted_samples(gravity_sigma: float, focal: Tensor) -> float:
 
 
 def tightened(squared_errors: Tensor, max_error: float) -> float:
-    """Three robust standard deviations of the errors within max_error, at most max_error: a limit for the last fit.
+    """Three robust standard deviations of the errors within max_error: a limit for the last fit, in pixels.
 
-    The standard deviation is 1.4826 times the median of what lies within, as for noise without outliers.
+    A wrong match within max_error weighs as much as many right ones. The standard deviation is 1.4826 times the median
+    of what lies within, as for noise without outliers. At most max_error, and at least LEAST_LIMIT.
     """
-    within = torch.where(squared_errors < max_error * max_error, squared_errors, torch.nan)
-    sigma = 1.4826 * float(torch.nanmedian(within).sqrt())
-    return min(max_error, 3.0 * sigma) if sigma > 0.0 else max_error
+    within = squared_errors[squared_errors < max_error * max_error]
+    if not len(within):
+        return max_error
+    return min(max_error, max(3.0 * 1.4826 * float(within.median().sqrt()), LEAST_LIMIT))
 
 
 def require_data(plane: Tensor, **others: Tensor) -> None:

@@ -23,7 +23,9 @@ from torch import Tensor
 from torchrefrac.checks import require
 from torchrefrac.geometry import heading_rotation, level_rotation, rotate
 from torchrefrac.minimal import relative_pose_npt
-from torchrefrac.ransac.rays import require_data
+from torchrefrac.numerics import thin
+from torchrefrac.optim import covariance_of
+from torchrefrac.ransac.rays import require_data, tightened
 from torchrefrac.refinement import TwoViews, tilt_and_heading
 
 CAP_DEG, SPACING_DEG = 75.0, 9.0
@@ -34,7 +36,6 @@ ON_CONSENSUS, ON_ALL, TO_THE_END = ((3.0, 8), (1.0, 8)), ((3.0, 6), (1.0, 6)), (
 """Stages of a refinement: how far max_error is widened, and the iterations."""
 AS_GOOD = 8.0
 """How many wrong matches more another pose may have and still count as an explanation."""
-TIGHT, LEAST_ERROR, NORMAL = 3.5, 0.05, 1.4826
 CHANCE_FACTOR = 3
 MAX_SIGMA_DEG = 5.0
 UNKNOWNS = 8
@@ -115,10 +116,10 @@ def _search(views: TwoViews, relative: Tensor, inliers: Tensor, max_error: float
     rows = inliers.nonzero()[:, 0]
     models = views.plane1.new_zeros(0, UNKNOWNS)
     if len(rows) >= UNKNOWNS:
-        models = _hypotheses(views.rows(_thin(rows, SOLVED)), relative)
+        models = _hypotheses(views.rows(thin(rows, SOLVED)), relative)
     if not len(models):
         return models, models[:, 0]
-    consensus, part = views.rows(_thin(rows, SCORED)), views.rows(_thin(torch.arange(len(views)), JUDGED))
+    consensus, part = views.rows(thin(rows, SCORED)), views.rows(thin(torch.arange(len(views)), JUDGED))
     models, _ = _best(models, consensus, 3.0 * max_error, LEADERS)
     models = _refine(models, consensus, max_error, ON_CONSENSUS)
     models = _refine(models, part, max_error, ON_ALL)
@@ -167,12 +168,6 @@ def _agree(views: TwoViews, model: Tensor, max_error: float) -> Tensor:
     return (errors.possible & (errors.error.abs() < max_error))[0]
 
 
-def _threshold(views: TwoViews, model: Tensor, max_error: float) -> float:
-    """TIGHT standard deviations of the noise, from the median error of the inliers, and at most max_error."""
-    error = views.errors(model[None]).error[0].abs()[_agree(views, model, max_error)]
-    return min(max_error, max(TIGHT * NORMAL * float(error.median()), LEAST_ERROR)) if len(error) else max_error
-
-
 def _variance(views: TwoViews, model: Tensor, max_error: float) -> float:
     """Variance of an epipolar error, from the inliers, in squared pixels."""
     error = views.errors(model[None]).error[0][_agree(views, model, max_error)]
@@ -182,12 +177,12 @@ def _variance(views: TwoViews, model: Tensor, max_error: float) -> float:
 def _report(views: TwoViews, models: Tensor, max_error: float, min_inliers: int) -> UnknownVertical:
     """The first of models (K, 8) that explain the matches equally well.
 
-    It is refined once more at a threshold that follows from the noise, because a wrong match within max_error weighs as
-    much as many right ones.
+    They are refined once more at a threshold that follows from the noise.
     """
     if not len(models):
         return _nothing(views.plane1, "no vertical gives a pose that places the second camera above the water")
-    tight = _threshold(views, models[0], max_error)
+    errors = views.errors(models[:1])
+    tight = tightened(torch.where(errors.possible, errors.error.square(), torch.inf), max_error)
     models = _refine(models, views, tight, TO_THE_END)
     inliers, shuffled = (
         _agree(v, models[0], max_error) for v in (views, replace(views, plane2=views.plane2.roll(len(views) // 2, 0)))
@@ -222,19 +217,9 @@ def _sigma(views: TwoViews, model: Tensor, down: Tensor, max_error: float) -> Te
     tilt, heading = tilt_and_heading(views.cam_from_level, rotation[0])
     upright = torch.cat((tilt.flatten(), heading[1:], model[5:]))
     hessian = views.refine(upright[None], max_error, 0).quadratic.hessian[0]
-    scale = hessian.diagonal().clamp(min=torch.finfo(hessian.dtype).tiny).rsqrt()
-    factor, info = torch.linalg.cholesky_ex(hessian * scale[:, None] * scale)
-    if int(info) != 0:
-        return torch.full_like(heading, torch.inf)
-    variance = torch.cholesky_inverse(factor).diagonal() * scale.square() * _variance(views, upright, max_error)
-    return variance[:4].unflatten(0, (2, 2)).sum(dim=-1).sqrt()
-
-
-def _thin(rows: Tensor, count: int) -> Tensor:
-    """`count` of the rows, spread evenly, or all where there are fewer."""
-    if len(rows) <= count:
-        return rows
-    return rows[torch.linspace(0, len(rows) - 1, count, dtype=torch.float64).round().long()]
+    covariance, exists = covariance_of(hessian[None])
+    variance = covariance[0].diagonal()[:4] * _variance(views, upright, max_error)
+    return torch.where(exists, variance.unflatten(0, (2, 2)).sum(dim=-1).sqrt(), torch.inf)
 
 
 def _nothing(plane: Tensor, detail: str) -> UnknownVertical:

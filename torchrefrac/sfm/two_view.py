@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchrefrac.bundle import BundleOptions, BundleState, adjust
 from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.numerics import thin
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.sfm.pose import PairPose
@@ -37,7 +38,7 @@ def refine_pair(
     options = replace(options, refine_radial=False, solver=SOLVER)
     pose = PairPose(rotation, center, inliers, 0.0)
     for _ in range(ROUNDS):
-        rows = _thin(inliers.nonzero()[:, 0])
+        rows = thin(inliers.nonzero()[:, 0], MAX_MATCHES)
         camera = _cameras(intrinsics, rotation, center, index_ratio)
         points, _, _ = triangulate_rays(camera, both[rows], _both_seen(both[rows]))
         report = adjust(
@@ -77,12 +78,6 @@ def judge_pair(
 
 def _both_seen(both: Tensor) -> Tensor:
     return torch.ones(both.shape[:2], dtype=torch.bool)
-
-
-def _thin(rows: Tensor) -> Tensor:
-    if len(rows) <= MAX_MATCHES:
-        return rows
-    return rows[torch.linspace(0, len(rows) - 1, MAX_MATCHES, dtype=torch.float64).round().long()]
 
 
 def _cameras(intrinsics: Intrinsics, rotation: Tensor, center: Tensor, index_ratio: Tensor) -> RefractiveCamera:

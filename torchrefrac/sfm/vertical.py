@@ -22,7 +22,9 @@ from torchrefrac.scene import Capture
 from torchrefrac.sfm.options import SfmOptions
 
 PAIRS_PER_IMAGE = 3
-LEAST_SIGMA = math.radians(0.2)
+LEAST_SIGMA, LEAST_DOWN_SIGMA = math.radians(0.2), math.radians(0.5)
+"""Of a vertical from one pair, for what the noise does not tell; and of the capture, because the adjustment will use
+the same matches again: a tighter prior counts them twice."""
 PINHOLE_SIGMA = math.radians(5.0)
 FAR = 9.0
 """Squared distance in standard deviations at which two verticals of one image contradict each other."""
@@ -49,8 +51,8 @@ def level_capture(
     options: SfmOptions,
     recorder: Recorder,
 ) -> Capture:
-    """The capture with estimated verticals. down_sigma: root mean square over the images, or the scatter between the
-    pairs of one image where that is larger.
+    """The capture with estimated verticals. down_sigma: the root mean square over the images, the scatter between the
+    pairs of one image, or LEAST_DOWN_SIGMA, whichever is largest.
 
     Raises UnknownVerticalError when no pair shows a vertical.
     """
@@ -71,7 +73,7 @@ def level_capture(
         recorder.note(f"{capture.names[image]}: no pair relates it to the others, so that its vertical stays unknown")
     known = sigma.isfinite()
     overall = torch.maximum(_rms(sigma[known]), _rms(scatter[estimates.image.unique()]))
-    return replace(capture, down_in_cam=down, down_sigma=max(float(overall), LEAST_SIGMA), has_gravity=True)
+    return replace(capture, down_in_cam=down, down_sigma=max(float(overall), LEAST_DOWN_SIGMA), has_gravity=True)
 
 
 def _choose(pairs: Sequence[PairMatches]) -> list[PairMatches]:
