@@ -6,7 +6,8 @@ from torch import Tensor
 from torchrefrac.minimal.absolute_pose import unchecked_absolute_pose_2pt
 from torchrefrac.minimal.known_heading import unchecked_absolute_pose_known_heading
 from torchrefrac.ransac.degeneracy import explain_absolute
-from torchrefrac.ransac.rays import level_rays, require_data, tightened, tilted_samples
+from torchrefrac.ransac.rays import level_rays, require_data, tilted_samples
+from torchrefrac.ransac.stages import refine_in_stages
 from torchrefrac.refinement import OneView
 
 
@@ -44,23 +45,15 @@ class AbsolutePoseEstimator:
         return torch.cat((tilt, heading[..., None], center), dim=-1), valid
 
     def squared_errors(self, models: Tensor, rows: Tensor | None) -> Tensor:
-        view = self.view if models.dtype == self.view.plane.dtype else self._single
-        return (view if rows is None else view.rows(rows)).squared_errors(models)
+        data = self._single if models.dtype == torch.float32 else self.view
+        return (data if rows is None else data.rows(rows)).squared_errors(models)
 
     def optimize(self, models: Tensor, max_error: float, rows: Tensor | None, thorough: bool) -> tuple[Tensor, Tensor]:
-        view = self.view if rows is None else self.view.rows(rows)
-        for widened, iterations in THOROUGH if thorough else QUICK:
-            models = view.refine(models, widened * max_error, iterations).states
-        if thorough:
-            limit = tightened(self.squared_errors(models, rows), max_error)
-            models = view.refine(models, limit, TIGHTENED).states
-        return models, view.costs(models, max_error)
+        data = self.view if rows is None else self.view.rows(rows)
+        return refine_in_stages(data, models, max_error, THOROUGH if thorough else QUICK, tighten=thorough)
 
     def degeneracy(self, model: Tensor, inliers: Tensor) -> str:
         return explain_absolute(self.view.rows(inliers), model)
 
 
-QUICK = ((4.0, 2), (1.0, 2))
-THOROUGH = ((1.0, 12),)
-TIGHTENED = 6
-"""Stages of the optimisation: how far max_error is widened, and iterations; those with it tightened to the noise."""
+QUICK, THOROUGH = ((4.0, 2), (1.0, 2)), ((1.0, 12),)

@@ -6,7 +6,8 @@ from torch import Tensor
 from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt
 from torchrefrac.minimal.known_heading import unchecked_relative_pose_3pt
 from torchrefrac.ransac.degeneracy import explain_relative
-from torchrefrac.ransac.rays import level_rays, require_data, tightened, tilted_samples
+from torchrefrac.ransac.rays import level_rays, require_data, tilted_samples
+from torchrefrac.ransac.stages import refine_in_stages
 from torchrefrac.refinement import TwoViews
 
 
@@ -50,24 +51,15 @@ class RelativePoseEstimator:
         return torch.cat((tilts, heading[..., None], center), dim=-1), valid
 
     def squared_errors(self, models: Tensor, rows: Tensor | None) -> Tensor:
-        views = self.views if models.dtype == self.views.plane1.dtype else self._single
-        errors = (views if rows is None else views.rows(rows)).errors(models)
-        return torch.where(errors.possible, errors.error.square(), torch.inf)
+        data = self._single if models.dtype == torch.float32 else self.views
+        return (data if rows is None else data.rows(rows)).squared_errors(models)
 
     def optimize(self, models: Tensor, max_error: float, rows: Tensor | None, thorough: bool) -> tuple[Tensor, Tensor]:
-        views = self.views if rows is None else self.views.rows(rows)
-        for widened, iterations in THOROUGH if thorough else QUICK:
-            models = views.refine(models, widened * max_error, iterations).states
-        if thorough:
-            limit = tightened(self.squared_errors(models, rows), max_error)
-            models = views.refine(models, limit, TIGHTENED).states
-        return models, views.costs(models, max_error)
+        data = self.views if rows is None else self.views.rows(rows)
+        return refine_in_stages(data, models, max_error, THOROUGH if thorough else QUICK, tighten=thorough)
 
     def degeneracy(self, model: Tensor, inliers: Tensor) -> str:
         return explain_relative(self.views.rows(inliers), model)
 
 
-QUICK = ((2.0, 3), (1.0, 3))
-THOROUGH = ((1.0, 40),)
-TIGHTENED = 6
-"""Stages of the optimisation: how far max_error is widened, and iterations; those with it tightened to the noise."""
+QUICK, THOROUGH = ((2.0, 3), (1.0, 3)), ((1.0, 40),)

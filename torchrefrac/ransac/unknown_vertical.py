@@ -25,7 +25,8 @@ from torchrefrac.geometry import heading_rotation, level_rotation, rotate
 from torchrefrac.minimal import relative_pose_npt
 from torchrefrac.numerics import thin
 from torchrefrac.optim import covariance_of
-from torchrefrac.ransac.rays import require_data, tightened
+from torchrefrac.ransac.rays import require_data
+from torchrefrac.ransac.stages import tightened
 from torchrefrac.refinement import TwoViews, tilt_and_heading
 
 CAP_DEG, SPACING_DEG = 75.0, 9.0
@@ -181,8 +182,7 @@ def _report(views: TwoViews, models: Tensor, max_error: float, min_inliers: int)
     """
     if not len(models):
         return _nothing(views.plane1, "no vertical gives a pose that places the second camera above the water")
-    errors = views.errors(models[:1])
-    tight = tightened(torch.where(errors.possible, errors.error.square(), torch.inf), max_error)
+    tight = tightened(views.squared_errors(models[:1]), max_error)
     models = _refine(models, views, tight, TO_THE_END)
     inliers, shuffled = (
         _agree(v, models[0], max_error) for v in (views, replace(views, plane2=views.plane2.roll(len(views) // 2, 0)))

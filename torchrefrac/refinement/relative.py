@@ -60,6 +60,11 @@ class TwoViews:
         """Epipolar errors (H, N) in pixels under models (H, 8), and the depths at which the rays meet."""
         return epipolar_error(*self.views(models), self._focal, self.index_ratio)
 
+    def squared_errors(self, models: Tensor) -> Tensor:
+        """Squared epipolar errors (H, N) in pixels; inf where the rays do not meet below the water."""
+        errors = self.errors(models)
+        return torch.where(errors.possible, errors.error.square(), torch.inf)
+
     def points(self, models: Tensor) -> Tensor:
         """Points (H, N, 3): half way between the two rays of each match where they pass each other."""
         return meeting_points(*self.views(models), self.index_ratio)

@@ -1,0 +1,48 @@
+"""How the optimisation of pose hypotheses proceeds: from a wide limit of the errors to a narrow one."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from torch import Tensor
+
+from torchrefrac.optim import SmallReport
+
+LEAST_LIMIT = 0.05
+LAST_ITERATIONS = 6
+
+Stages = Sequence[tuple[float, int]]
+"""How far max_error is widened, and the iterations."""
+
+
+class Refinable(Protocol):
+    """Matches or points that models can be refined to: `TwoViews`, `OneView`."""
+
+    def squared_errors(self, models: Tensor) -> Tensor: ...
+
+    def refine(self, models: Tensor, max_error: float, max_iterations: int) -> SmallReport: ...
+
+    def costs(self, models: Tensor, max_error: float) -> Tensor: ...
+
+
+def refine_in_stages(
+    data: Refinable, models: Tensor, max_error: float, stages: Stages, tighten: bool
+) -> tuple[Tensor, Tensor]:
+    """Refined models (K, D) and their costs (K) at max_error; `tighten`: a last fit with the limit that noise suggests."""
+    for widened, iterations in stages:
+        models = data.refine(models, widened * max_error, iterations).states
+    if tighten:
+        limit = tightened(data.squared_errors(models), max_error)
+        models = data.refine(models, limit, LAST_ITERATIONS).states
+    return models, data.costs(models, max_error)
+
+
+def tightened(squared_errors: Tensor, max_error: float) -> float:
+    """Three robust standard deviations of the errors within max_error, in pixels.
+
+    A wrong match within max_error weighs as much as many right ones. The standard deviation is 1.4826 times the median
+    of what lies within, as for noise without outliers. At most max_error, and at least LEAST_LIMIT.
+    """
+    within = squared_errors[squared_errors < max_error * max_error]
+    if not len(within):
+        return max_error
+    return min(max_error, max(3.0 * 1.4826 * float(within.median().sqrt()), LEAST_LIMIT))
