@@ -12,7 +12,7 @@ from torchrefrac.refraction import FlatInterface
 from torchrefrac.sfm import PinholeInitializer, RefractiveInitializer, SfmOptions
 from torchrefrac.sfm.rays import triangulate_rays
 
-OPTIONS = SfmOptions(ransac=RansacOptions(max_error=2.0))
+OPTIONS = SfmOptions(ransac=RansacOptions(max_error=2.0, max_samples=4096))
 HARD = {"noise": 0.2, "outliers": 0.15, "gravity_error_deg": 0.5}
 in_water_and_air = pytest.mark.parametrize("index_ratio", [1.33, 1.0], ids=["water", "air"])
 

@@ -27,7 +27,7 @@ class Refinable(Protocol):
 def refine_in_stages(
     data: Refinable, models: Tensor, max_error: float, stages: Stages, tighten: bool
 ) -> tuple[Tensor, Tensor]:
-    """Refined models (K, D) and their costs (K) at max_error; `tighten`: a last fit with the limit that noise suggests."""
+    """Refined models (K, D) and their costs (K) at max_error; `tighten`: a last fit with the limit of the noise."""
     for widened, iterations in stages:
         models = data.refine(models, widened * max_error, iterations).states
     if tighten:
