@@ -104,7 +104,12 @@ def build(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
             arguments[name] = _convert(hints[name], values[name], _join(path, name))
         elif described.default is dataclasses.MISSING and described.default_factory is dataclasses.MISSING:
             raise OptionError(f"{_join(path, name)} is missing")
-    return cls(**arguments)
+    try:
+        return cls(**arguments)
+    except OptionError:
+        raise
+    except ValueError as error:  # from options of a layer that does not know how they are read
+        raise OptionError(_join(path, str(error))) from None
 
 
 def _convert(hint: Any, value: Any, path: str) -> Any:

@@ -53,6 +53,7 @@ def test_the_index_ratio_can_come_from_the_temperature_of_the_water():
         ({"sfm": 3}, "sfm is 3, but must be a group of options"),
         ({"sfm": {"max_error": "big"}}, "sfm.max_error is 'big', but must be a number"),
         ({"sfm": {"ransac": {"confidnce": 1}}}, "sfm.ransac.confidnce is not an option"),
+        ({"sfm": {"ransac": {"max_error": -1.0}}}, "sfm.ransac.max_error is -1, but must be finite and above 0"),
         (
             {"model": {"name": "perspective"}},
             "model.name is 'perspective', but must be one of none, radial, refractive",

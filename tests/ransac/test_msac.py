@@ -62,6 +62,22 @@ def make_location(draw):
 
 
 @pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("max_error", 0.0, "max_error is 0, but must be finite and above 0"),
+        ("max_error", math.nan, "max_error is nan"),
+        ("confidence", 1.0, "confidence is 1, but must be below 1"),
+        ("batch_size", 0, "batch_size is 0, but must be finite and at least 1"),
+        ("leaders", 0, "leaders is 0"),
+        ("screening_factor", 0.5, "screening_factor is 0.5, but must be finite and at least 1"),
+    ],
+)
+def test_options_that_cannot_work_are_refused(option, value, message):
+    with pytest.raises(ValueError, match=message):
+        RansacOptions(**{option: value})
+
+
+@pytest.mark.parametrize(
     ("inliers", "outliers", "sample_size", "expected"),
     [(50, 50, 2, 33), (90, 10, 2, 6), (50, 50, 7, 1175), (10, 90, 1, 88), (100, 0, 7, 1)],
 )

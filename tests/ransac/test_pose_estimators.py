@@ -232,6 +232,13 @@ def test_matches_that_cannot_be_are_refused(plane1, plane2, message):
         RelativePoseEstimator(views)
 
 
+def test_a_relative_pose_without_refraction_is_refused():
+    views = TwoViews(torch.ones(5, 2), torch.ones(5, 2), torch.eye(3).expand(2, 3, 3), torch.ones(2), torch.tensor(1.0))
+
+    with pytest.raises(ValueError, match=r"index_ratio \(without refraction .*\) is 1, but must be finite and above 1"):
+        RelativePoseEstimator(views)
+
+
 @pytest.mark.parametrize(
     ("points", "message"),
     [(torch.ones(4, 3), "points has 4 rows"), (torch.full((5, 3), torch.nan), "points is nan somewhere")],

@@ -13,6 +13,7 @@ from typing import Literal, Protocol
 import torch
 from torch import Tensor
 
+from torchrefrac.checks import require
 from torchrefrac.ransac.sampling import draw_samples
 
 SCORE_ELEMENTS = 1 << 15
@@ -74,6 +75,15 @@ class RansacOptions:
     screening_factor: float = 2.0
     leaders: int = 8
     min_inliers: int = 12
+
+    def __post_init__(self) -> None:
+        require(self.max_error, "max_error", above=0.0)
+        require(self.confidence, "confidence", at_least=0.0)
+        if self.confidence >= 1.0:
+            raise ValueError(f"confidence is {self.confidence:g}, but must be below 1: no number of samples is certain")
+        for name in ("batch_size", "max_batch_size", "max_samples", "screening_size", "leaders", "min_inliers"):
+            require(getattr(self, name), name, at_least=1)
+        require(self.screening_factor, "screening_factor", at_least=1.0)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from torchrefrac.checks import require
 from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt
 from torchrefrac.minimal.known_heading import unchecked_relative_pose_3pt
 from torchrefrac.ransac.degeneracy import explain_relative
@@ -21,6 +22,9 @@ class RelativePoseEstimator:
 
     def __init__(self, views: TwoViews) -> None:
         require_data(views.plane1, plane2=views.plane2)
+        require(
+            views.index_ratio, "index_ratio (without refraction neither the scale nor the surface shows)", above=1.0
+        )
         self.views = views
         self._single = views.single()
         self._rays1 = level_rays(views.plane1, views.cam_from_level[0])
