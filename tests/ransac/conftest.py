@@ -54,7 +54,8 @@ def make_estimator(basin, pixels, down, gravity_error_deg, known_heading):
 
 @pytest.fixture
 def make_degenerate(draw):
-    """`make_degenerate(where, noise)`: 100 points in the vertical plane along the baseline, or across its middle."""
+    """`make_degenerate(where, noise)`: 100 points in the vertical plane "along" the baseline, or "across" its middle, or
+    "thin": anywhere under a millimetre or two of water."""
 
     def make(where, noise):
         half = 18.0
@@ -62,7 +63,12 @@ def make_degenerate(draw):
         down = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
         spread, depth = draw.uniform(-40.0, 40.0, 100), draw.uniform(-80.0, -20.0, 100)
         zero = torch.zeros_like(spread)
-        points = torch.stack((spread, zero, depth) if where == "along" else (zero, spread, depth), dim=-1)
+        places = {
+            "along": (spread, zero, depth),
+            "across": (zero, spread, depth),
+            "thin": (spread, draw.uniform(-30.0, 30.0, 100), 0.0015 * depth),
+        }
+        points = torch.stack(places[where], dim=-1)
         lens = Intrinsics.create(1024, 768, 667.0)
         pixels, _ = RefractiveCamera(lens, down, center, FlatInterface(1.33))[:, None].project(points)
         plane = lens.plane_from_pixels(pixels + noise * draw.normal(*pixels.shape))

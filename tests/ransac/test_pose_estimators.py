@@ -188,6 +188,18 @@ def test_the_reason_names_the_degenerate_case(make_degenerate, where, words):
     assert words in reason
 
 
+def test_under_a_millimetre_of_water_the_pose_is_found_because_the_surface_is_where_the_points_are(
+    make_degenerate, generator
+):
+    estimator = make_degenerate("thin", 0.3)
+
+    report = ransac(estimator, OPTIONS, generator)
+
+    assert report.status == "success"
+    assert (report.model[5:] - estimator.truth[5:]).norm() < 0.01 * estimator.truth[5:7].norm()
+    assert report.num_inliers < 80  # noise lifts the others above the water
+
+
 @pytest.mark.parametrize("index_ratio", [1.0005, 1.002])
 def test_where_the_water_hardly_bends_light_the_pose_is_not_determined_and_the_reason_says_so(
     make_problem, index_ratio
