@@ -54,8 +54,8 @@ def make_estimator(basin, pixels, down, gravity_error_deg, known_heading):
 
 @pytest.fixture
 def make_degenerate(draw):
-    """`make_degenerate(where, noise)`: 100 points in the vertical plane "along" the baseline, or "across" its middle, or
-    "thin": anywhere under a millimetre or two of water."""
+    """`make_degenerate(where, noise)`: 100 points in the vertical plane "along" the baseline, or "across" its middle,
+    or "thin": anywhere under a millimetre of water."""
 
     def make(where, noise):
         half = 18.0

@@ -197,7 +197,7 @@ def test_under_a_millimetre_of_water_the_pose_is_found_because_the_surface_is_wh
 
     assert report.status == "success"
     assert (report.model[5:] - estimator.truth[5:]).norm() < 0.01 * estimator.truth[5:7].norm()
-    assert report.num_inliers < 80  # noise lifts the others above the water
+    assert report.num_inliers < 100  # noise lifts some above the water
 
 
 @pytest.mark.parametrize("index_ratio", [1.0005, 1.002])
