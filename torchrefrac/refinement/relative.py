@@ -16,6 +16,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from torchrefrac.checks import is_wrapped
 from torchrefrac.geometry import triples
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
 from torchrefrac.refinement.epipolar import EpipolarError, Views, epipolar_error, epipolar_jacobian, meeting_points
@@ -87,15 +88,17 @@ class TwoViews:
         return rotation, torch.stack((first, models[:, CENTER]), dim=1)
 
     def views(self, models: Tensor) -> tuple[Views, Views]:
+        """Both cameras of models (H, 8); the first one as a batch of 1 where all models share it."""
         rotation, center = self.poses(models)
         rows, components = triples.rows(rotation[..., None, :, :]), triples.split(center[..., None, :])
+        count = 1 if _share_first(models) else len(models)
         one, two = (
             Views(
-                tuple(tuple(entry[:, k] for entry in row) for row in rows),  # type: ignore[arg-type]
-                tuple(entry[:, k] for entry in components),  # type: ignore[arg-type]
+                tuple(tuple(entry[:n, k] for entry in row) for row in rows),  # type: ignore[arg-type]
+                tuple(entry[:n, k] for entry in components),  # type: ignore[arg-type]
                 self._planes[k],
             )
-            for k in (0, 1)
+            for k, n in ((0, count), (1, len(models)))
         )
         return one, two
 
@@ -139,6 +142,13 @@ class TwoViews:
     @cached_property
     def _focal(self) -> tuple[Tensor, Tensor]:
         return self.focal[0], self.focal[1]
+
+
+def _share_first(models: Tensor) -> bool:
+    """Whether all models have the same first camera, whose rays are then followed once: those of minimal samples do."""
+    if models.is_cuda or torch.compiler.is_compiling() or models.requires_grad or is_wrapped(models):
+        return False  # there the numbers cannot be looked at, or only at a price, or each model has its own gradient
+    return bool((models[:, :2] == models[:1, :2]).all())
 
 
 def _bulk(errors: EpipolarError, max_error: float) -> Tensor:
