@@ -73,9 +73,7 @@ def solve_damped(quadratic: Quadratic, damping: Tensor) -> Tensor:
 
     Zero where the system is not positive definite.
     """
-    diagonal = quadratic.hessian.diagonal(dim1=-2, dim2=-1)
-    scale = diagonal.clamp(min=torch.finfo(diagonal.dtype).tiny).rsqrt()
-    scaled = quadratic.hessian * scale[:, :, None] * scale[:, None, :]
+    scaled, scale = _with_unit_diagonal(quadratic.hessian)
     scaled = scaled + torch.diag_embed(damping[:, None].expand_as(scale))
     factor, info = torch.linalg.cholesky_ex(scaled)
     step = -torch.cholesky_solve((scale * quadratic.gradient)[..., None], factor)[..., 0] * scale
@@ -84,12 +82,16 @@ def solve_damped(quadratic: Quadratic, damping: Tensor) -> Tensor:
 
 def covariance_of(hessian: Tensor) -> tuple[Tensor, Tensor]:
     """Inverses (K, D, D) of information matrices, and where they exist (K); zero where they do not."""
+    scaled, scale = _with_unit_diagonal(hessian)
+    factor, info = torch.linalg.cholesky_ex(scaled)
+    exists = (info == 0)[:, None, None]
+    identity = torch.eye(scale.shape[-1], dtype=scale.dtype, device=scale.device)
+    inverse = torch.cholesky_inverse(torch.where(exists, factor, identity))
+    return torch.where(exists, inverse * scale[:, :, None] * scale[:, None, :], 0.0), info == 0
+
+
+def _with_unit_diagonal(hessian: Tensor) -> tuple[Tensor, Tensor]:
+    """S H S with S = diag(H)^(-1/2), whose units do not matter, and the diagonal of S (K, D)."""
     diagonal = hessian.diagonal(dim1=-2, dim2=-1)
     scale = diagonal.clamp(min=torch.finfo(hessian.dtype).tiny).rsqrt()
-    outer = scale[..., :, None] * scale[..., None, :]
-    factor, info = torch.linalg.cholesky_ex(hessian * outer)
-    exists = info == 0
-    safe = torch.where(
-        exists[..., None, None], factor, torch.eye(len(scale[0]), dtype=scale.dtype, device=scale.device)
-    )
-    return torch.where(exists[..., None, None], torch.cholesky_inverse(safe) * outer, 0.0), exists
+    return hessian * scale[:, :, None] * scale[:, None, :], scale

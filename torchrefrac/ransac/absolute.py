@@ -6,12 +6,14 @@ from torch import Tensor
 from torchrefrac.minimal.absolute_pose import unchecked_absolute_pose_2pt
 from torchrefrac.minimal.known_heading import unchecked_absolute_pose_known_heading
 from torchrefrac.ransac.degeneracy import explain_absolute
-from torchrefrac.ransac.rays import level_rays, require_data, tilted_samples
-from torchrefrac.ransac.stages import refine_in_stages
+from torchrefrac.ransac.pose import PoseEstimator
+from torchrefrac.ransac.rays import level_rays, require_data
 from torchrefrac.refinement import OneView
 
+QUICK, THOROUGH = ((4.0, 2), (1.0, 2)), ((1.0, 12),)
 
-class AbsolutePoseEstimator:
+
+class AbsolutePoseEstimator(PoseEstimator[OneView]):
     """Models are those of `OneView`: tilt (2), heading and centre of a camera that sees known points, wet or dry.
 
     Samples are solved with the measured vertical; the optimisation takes in its error.
@@ -21,17 +23,9 @@ class AbsolutePoseEstimator:
 
     def __init__(self, view: OneView) -> None:
         require_data(view.plane, points=view.points)
+        super().__init__(view, QUICK, THOROUGH)
         self.view = view
-        self._single = view.single()
         self._rays = level_rays(view.plane, view.cam_from_level)
-
-    @property
-    def num_data(self) -> int:
-        return len(self.view)
-
-    @property
-    def samples_per_hit(self) -> float:
-        return tilted_samples(self.view.gravity_sigma, self.view.focal)
 
     def solve(self, samples: Tensor) -> tuple[Tensor, Tensor]:
         rays, points, index = self._rays[samples], self.view.points[samples], self.view.index_ratio
@@ -44,16 +38,5 @@ class AbsolutePoseEstimator:
         tilt = torch.zeros_like(heading)[..., None].expand(*heading.shape, 2)
         return torch.cat((tilt, heading[..., None], center), dim=-1), valid
 
-    def squared_errors(self, models: Tensor, rows: Tensor | None) -> Tensor:
-        data = self._single if models.dtype == torch.float32 else self.view
-        return (data if rows is None else data.rows(rows)).squared_errors(models)
-
-    def optimize(self, models: Tensor, max_error: float, rows: Tensor | None, thorough: bool) -> tuple[Tensor, Tensor]:
-        data = self.view if rows is None else self.view.rows(rows)
-        return refine_in_stages(data, models, max_error, THOROUGH if thorough else QUICK, tighten=thorough)
-
     def degeneracy(self, model: Tensor, inliers: Tensor) -> str:
         return explain_absolute(self.view.rows(inliers), model)
-
-
-QUICK, THOROUGH = ((4.0, 2), (1.0, 2)), ((1.0, 12),)

@@ -7,12 +7,14 @@ from torchrefrac.checks import require
 from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt
 from torchrefrac.minimal.known_heading import unchecked_relative_pose_3pt
 from torchrefrac.ransac.degeneracy import explain_relative
-from torchrefrac.ransac.rays import level_rays, require_data, tilted_samples
-from torchrefrac.ransac.stages import refine_in_stages
+from torchrefrac.ransac.pose import PoseEstimator
+from torchrefrac.ransac.rays import level_rays, require_data
 from torchrefrac.refinement import TwoViews
 
+QUICK, THOROUGH = ((2.0, 3), (1.0, 3)), ((1.0, 40),)
 
-class RelativePoseEstimator:
+
+class RelativePoseEstimator(PoseEstimator[TwoViews]):
     """Models are those of `TwoViews`: tilts of both cameras (4), heading and centre of the second, relative to the
     first at (0, 0, height) with heading 0.
 
@@ -25,22 +27,14 @@ class RelativePoseEstimator:
         require(
             views.index_ratio, "index_ratio (without refraction neither the scale nor the surface shows)", above=1.0
         )
+        super().__init__(views, QUICK, THOROUGH)
         self.views = views
-        self._single = views.single()
         self._rays1 = level_rays(views.plane1, views.cam_from_level[0])
         self._rays2 = level_rays(views.plane2, views.cam_from_level[1])
 
     @property
     def sample_size(self) -> int:
         return 4 if self.views.known_heading is None else 3
-
-    @property
-    def num_data(self) -> int:
-        return len(self.views)
-
-    @property
-    def samples_per_hit(self) -> float:
-        return tilted_samples(self.views.gravity_sigma, self.views.focal)
 
     def solve(self, samples: Tensor) -> tuple[Tensor, Tensor]:
         rays1, rays2 = self._rays1[samples], self._rays2[samples]
@@ -54,16 +48,5 @@ class RelativePoseEstimator:
         tilts = torch.zeros_like(heading)[..., None].expand(*heading.shape, 4)
         return torch.cat((tilts, heading[..., None], center), dim=-1), valid
 
-    def squared_errors(self, models: Tensor, rows: Tensor | None) -> Tensor:
-        data = self._single if models.dtype == torch.float32 else self.views
-        return (data if rows is None else data.rows(rows)).squared_errors(models)
-
-    def optimize(self, models: Tensor, max_error: float, rows: Tensor | None, thorough: bool) -> tuple[Tensor, Tensor]:
-        data = self.views if rows is None else self.views.rows(rows)
-        return refine_in_stages(data, models, max_error, THOROUGH if thorough else QUICK, tighten=thorough)
-
     def degeneracy(self, model: Tensor, inliers: Tensor) -> str:
         return explain_relative(self.views.rows(inliers), model)
-
-
-QUICK, THOROUGH = ((2.0, 3), (1.0, 3)), ((1.0, 40),)

@@ -8,7 +8,6 @@ from torch import Tensor
 from torchrefrac.optim import SmallReport
 
 LEAST_LIMIT = 0.05
-LAST_ITERATIONS = 6
 
 Stages = Sequence[tuple[float, int]]
 """How far max_error is widened, and the iterations."""
@@ -24,16 +23,11 @@ class Refinable(Protocol):
     def costs(self, models: Tensor, max_error: float) -> Tensor: ...
 
 
-def refine_in_stages(
-    data: Refinable, models: Tensor, max_error: float, stages: Stages, tighten: bool
-) -> tuple[Tensor, Tensor]:
-    """Refined models (K, D) and their costs (K) at max_error; `tighten`: a last fit with the limit of the noise."""
+def refine_in_stages(data: Refinable, models: Tensor, max_error: float, stages: Stages) -> Tensor:
+    """Refined models (K, D)."""
     for widened, iterations in stages:
         models = data.refine(models, widened * max_error, iterations).states
-    if tighten:
-        limit = tightened(data.squared_errors(models), max_error)
-        models = data.refine(models, limit, LAST_ITERATIONS).states
-    return models, data.costs(models, max_error)
+    return models
 
 
 def tightened(squared_errors: Tensor, max_error: float) -> float:

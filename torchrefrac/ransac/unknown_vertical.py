@@ -25,8 +25,8 @@ from torchrefrac.geometry import heading_rotation, level_rotation, rotate
 from torchrefrac.minimal import relative_pose_npt
 from torchrefrac.numerics import thin
 from torchrefrac.optim import covariance_of
-from torchrefrac.ransac.rays import require_data
-from torchrefrac.ransac.stages import tightened
+from torchrefrac.ransac.rays import level_rays, require_data
+from torchrefrac.ransac.stages import refine_in_stages, tightened
 from torchrefrac.refinement import TwoViews, tilt_and_heading
 
 CAP_DEG, SPACING_DEG = 75.0, 9.0
@@ -122,10 +122,10 @@ def _search(views: TwoViews, relative: Tensor, inliers: Tensor, max_error: float
         return models, models[:, 0]
     consensus, part = views.rows(thin(rows, SCORED)), views.rows(thin(torch.arange(len(views)), JUDGED))
     models, _ = _best(models, consensus, 3.0 * max_error, LEADERS)
-    models = _refine(models, consensus, max_error, ON_CONSENSUS)
-    models = _refine(models, part, max_error, ON_ALL)
+    models = refine_in_stages(consensus, models, max_error, ON_CONSENSUS)
+    models = refine_in_stages(part, models, max_error, ON_ALL)
     models, _ = _best(models, part, max_error, FINALISTS)
-    models = _refine(models, views, max_error, TO_THE_END)
+    models = refine_in_stages(views, models, max_error, TO_THE_END)
     return _best(models, views, max_error, FINALISTS)
 
 
@@ -134,8 +134,7 @@ def _hypotheses(views: TwoViews, relative: Tensor) -> Tensor:
     down1 = _cap(views.plane1)
     down2 = rotate(relative, down1)
     cam_from_level = level_rotation(torch.stack((down1, down2), dim=1)[down2[:, 2] > 0.0])
-    rays = torch.stack((views.plane1, views.plane2))
-    rays = torch.cat((rays, torch.ones_like(rays[..., :1])), dim=-1) @ cam_from_level
+    rays = level_rays(torch.stack((views.plane1, views.plane2)), cam_from_level)
     heading, center, valid = relative_pose_npt(rays[:, 0], rays[:, 1], views.index_ratio, views.height)
     first = cam_from_level[:, None, 0].expand(*heading.shape, 3, 3)
     rotation = torch.stack((first, cam_from_level[:, None, 1] @ heading_rotation(heading)), dim=-3)
@@ -151,12 +150,6 @@ def _cap(like: Tensor) -> Tensor:
     z, turn = 1.0 - height * k / count, math.pi * (3.0 - math.sqrt(5.0)) * k
     radius = (1.0 - z * z).sqrt()
     return torch.stack((radius * turn.cos(), radius * turn.sin(), z), dim=-1)
-
-
-def _refine(models: Tensor, views: TwoViews, max_error: float, stages: tuple[tuple[float, int], ...]) -> Tensor:
-    for widened, iterations in stages:
-        models = views.refine(models, widened * max_error, iterations).states
-    return models
 
 
 def _best(models: Tensor, views: TwoViews, max_error: float, count: int) -> tuple[Tensor, Tensor]:
@@ -183,7 +176,7 @@ def _report(views: TwoViews, models: Tensor, max_error: float, min_inliers: int)
     if not len(models):
         return _nothing(views.plane1, "no vertical gives a pose that places the second camera above the water")
     tight = tightened(views.squared_errors(models[:1]), max_error)
-    models = _refine(models, views, tight, TO_THE_END)
+    models = refine_in_stages(views, models, tight, TO_THE_END)
     inliers, shuffled = (
         _agree(v, models[0], max_error) for v in (views, replace(views, plane2=views.plane2.roll(len(views) // 2, 0)))
     )

@@ -14,7 +14,7 @@ from torch import Tensor
 from torchrefrac.geometry import triples
 from torchrefrac.geometry.triples import Triple
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
-from torchrefrac.refinement.priors import with_prior_costs, with_priors
+from torchrefrac.refinement.priors import prior_costs, with_priors
 from torchrefrac.refinement.tilt import tilted_rotation, turn_by_tilt
 from torchrefrac.refraction import apparent_height, apparent_height_partials, screening_height
 
@@ -73,8 +73,7 @@ class OneView:
     def costs(self, models: Tensor, max_error: float) -> Tensor:
         """Truncated sums (H) of squared errors in pixels, and the prior on the tilt."""
         squares = self.squared_errors(models).clamp(max=max_error * max_error).sum(dim=-1)
-        known = self.known_heading is not None
-        return with_prior_costs(models, squares, self.gravity_sigma, self.pixel_sigma, known)
+        return squares + 2.0 * prior_costs(models, self.gravity_sigma, self.pixel_sigma)
 
     def refine(self, models: Tensor, max_error: float, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
         """Minimise the truncated cost from models (K, 6); points beyond max_error do not count."""

@@ -19,23 +19,28 @@ def with_priors(
     """
     cost, gradient, hessian = quadratic
     tilts = models.shape[-1] - 4
-    if 0.0 < gravity_sigma < float("inf"):
-        weight = torch.zeros_like(models[0])
-        weight[:tilts] = (pixel_sigma / gravity_sigma) ** 2
-        cost = cost + 0.5 * (weight * models.square()).sum(dim=-1)
+    weight = _weights(models, gravity_sigma, pixel_sigma)
+    if weight is not None:
         gradient, hessian = gradient + weight * models, hessian + torch.diag(weight)
     if known_heading or gravity_sigma == 0.0:
         free = torch.ones_like(models[0])
         free[:tilts] = float(gravity_sigma > 0.0)
         free[tilts] = float(not known_heading)
         gradient, hessian = gradient * free, hessian * free[:, None] * free + torch.diag(1.0 - free)
-    return Quadratic(torch.where(models[:, -1] > 0.0, cost, torch.inf), gradient, hessian)
+    return Quadratic(cost + prior_costs(models, gravity_sigma, pixel_sigma), gradient, hessian)
 
 
-def with_prior_costs(
-    models: Tensor, squares: Tensor, gravity_sigma: float, pixel_sigma: float, known_heading: bool
-) -> Tensor:
-    """Sums of squares (K), and twice what the priors cost."""
-    none = models.new_zeros(models.shape)
-    flat = Quadratic(0.5 * squares, none, torch.diag_embed(none))
-    return 2.0 * with_priors(models, flat, gravity_sigma, pixel_sigma, known_heading).cost
+def prior_costs(models: Tensor, gravity_sigma: float, pixel_sigma: float) -> Tensor:
+    """What the priors add to the costs of models (K, D), in squared pixels, half a sum."""
+    weight = _weights(models, gravity_sigma, pixel_sigma)
+    tilted = 0.0 if weight is None else 0.5 * (weight * models.square()).sum(dim=-1)
+    return torch.where(models[:, -1] > 0.0, tilted, torch.inf)
+
+
+def _weights(models: Tensor, gravity_sigma: float, pixel_sigma: float) -> Tensor | None:
+    """Of the squares of the unknowns (D): those of the tilts. None where gravity is exact or unknown."""
+    if not 0.0 < gravity_sigma < float("inf"):
+        return None
+    weight = torch.zeros_like(models[0])
+    weight[: models.shape[-1] - 4] = (pixel_sigma / gravity_sigma) ** 2
+    return weight

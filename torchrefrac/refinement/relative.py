@@ -20,7 +20,7 @@ from torchrefrac.checks import is_wrapped
 from torchrefrac.geometry import triples
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
 from torchrefrac.refinement.epipolar import EpipolarError, Views, epipolar_error, epipolar_jacobian, meeting_points
-from torchrefrac.refinement.priors import with_prior_costs, with_priors
+from torchrefrac.refinement.priors import prior_costs, with_priors
 from torchrefrac.refinement.tilt import tilted_rotation, turn_by_tilt
 
 HEADING, CENTER, UNKNOWNS = 4, slice(5, 8), 8
@@ -79,7 +79,7 @@ class TwoViews:
         limit = max_error * max_error
         inside = errors.possible & _bulk(errors, max_error)
         cost = torch.where(inside, errors.error.square(), limit).clamp(max=limit).sum(dim=-1)
-        return with_prior_costs(models, cost, self.gravity_sigma, self.pixel_sigma, self.known_heading is not None)
+        return cost + 2.0 * prior_costs(models, self.gravity_sigma, self.pixel_sigma)
 
     def poses(self, models: Tensor) -> tuple[Tensor, Tensor]:
         """Rotations (H, 2, 3, 3) cam_from_world and centres (H, 2, 3) of both cameras."""
