@@ -126,6 +126,10 @@ def _convert(hint: Any, value: Any, path: str) -> Any:
     if origin in (Union, types.UnionType):
         inner = [option for option in get_args(hint) if option is not type(None)]
         return None if value is None else _convert(inner[0], value, path)
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise OptionError(f"{path} is {value!r}, but must be a list")
+        return tuple(_convert(get_args(hint)[0], item, f"{path}[{i}]") for i, item in enumerate(value))
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if type(value) is not hint:

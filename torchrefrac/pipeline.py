@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 
+from torchrefrac.bundle.rows import LENS
 from torchrefrac.config import Options
 from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
 from torchrefrac.recorder import Recorder, SilentRecorder
@@ -116,7 +117,12 @@ def _initializer(
 
     Without refraction a capture of unknown gravity is levelled by its optical axes: any frame is as good there.
     """
-    sfm = replace(options.sfm, bundle=replace(options.sfm.bundle, refine_radial=options.model.name == "radial"))
+    sfm = options.sfm
+    if options.model.name != "refractive" or ratio == 1.0:
+        lens = tuple(name for name in sfm.bundle.refine if name in LENS)
+        if options.model.name == "radial" and "distortion" not in lens:
+            lens = (*(name for name in lens if name != "radial"), "radial")
+        sfm = replace(sfm, bundle=replace(sfm.bundle, refine=lens))
     if options.model.name != "refractive":
         return PinholeInitializer(capture, sfm), sfm
     if ratio == 1.0:

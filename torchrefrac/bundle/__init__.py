@@ -1,7 +1,38 @@
 """Bundle adjustment: the bridge between scenes and the optimiser. What varies, the priors, the gauge."""
 
-from torchrefrac.bundle.adjust import BundleOptions, BundleReport, adjust, adjust_pose
-from torchrefrac.bundle.gravity import GravityPrior
-from torchrefrac.bundle.problem import BundleProblem, BundleState
+from torchrefrac.bundle.adjust import BundleReport, adjust, adjust_pose
+from torchrefrac.bundle.inputs import UnadjustableError, check_inputs
+from torchrefrac.bundle.options import BundleOptions
+from torchrefrac.bundle.problem import BundleProblem
+from torchrefrac.bundle.state import BundleState, Links, Observations
+from torchrefrac.bundle.terms import (
+    CenterPrior,
+    Expectations,
+    GravityPrior,
+    HeightPrior,
+    KnownPoints,
+    ScaleBars,
+    Term,
+    Waterline,
+)
 
-__all__ = ["BundleOptions", "BundleProblem", "BundleReport", "BundleState", "GravityPrior", "adjust", "adjust_pose"]
+__all__ = [
+    "BundleOptions",
+    "BundleProblem",
+    "BundleReport",
+    "BundleState",
+    "CenterPrior",
+    "Expectations",
+    "GravityPrior",
+    "HeightPrior",
+    "KnownPoints",
+    "Links",
+    "Observations",
+    "ScaleBars",
+    "Term",
+    "UnadjustableError",
+    "Waterline",
+    "adjust",
+    "adjust_pose",
+    "check_inputs",
+]

@@ -1,76 +1,78 @@
 """Adjust cameras and points together, or one camera alone."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
-from torchrefrac.bundle.gravity import GravityPrior
-from torchrefrac.bundle.problem import RADIAL_TERMS, BundleProblem, BundleState
-from torchrefrac.optim import LevenbergMarquardtOptions, MinimizeReport, SchurPlan, minimize
-
-BundleReport = MinimizeReport[BundleState]
+from torchrefrac.bundle.inputs import check_inputs
+from torchrefrac.bundle.layout import Layout
+from torchrefrac.bundle.options import BundleOptions
+from torchrefrac.bundle.problem import BundleProblem
+from torchrefrac.bundle.state import BundleState, Links, Observations
+from torchrefrac.bundle.terms import Term, concerned_points
+from torchrefrac.optim import Status, minimize
 
 
 @dataclass(frozen=True)
-class BundleOptions:
-    """loss_scale: Huber, pixels. pixel_sigma: expected noise of a keypoint, pixels; weighs it against gravity.
+class BundleReport:
+    """The adjusted state, why the search ended (see `optim.minimize`) and the cost after every accepted step.
 
-    refine_radial: let k1 and k2 of the shared lens vary.
+    held: what was to be refined but was not, because the data do not determine it, and by how little they do.
+    problem: what was minimised, for `uncertainty`.
     """
 
-    loss_scale: float = 0.25
-    pixel_sigma: float = 0.3
-    refine_radial: bool = False
-    solver: LevenbergMarquardtOptions = field(default_factory=LevenbergMarquardtOptions)
+    state: BundleState
+    status: Status
+    iterations: int
+    costs: list[float]
+    problem: BundleProblem
+    held: dict[str, str] = field(default_factory=dict)
 
 
 def adjust(
     state: BundleState,
-    camera: Tensor,
-    point: Tensor,
-    pixels: Tensor,
-    index_ratio: Tensor,
-    options: BundleOptions,
-    gravity: GravityPrior | None = None,
+    observations: Observations,
+    options: BundleOptions | None = None,
+    *,
+    links: Links | None = None,
+    terms: Sequence[Term] = (),
+    held: Tensor | None = None,
+    check: bool = True,
     callback: Callable[[int, float], None] | None = None,
 ) -> BundleReport:
-    """Minimise reprojection error over all cameras and points of `state`.
+    """Minimise the reprojection error, and that of all `terms`, over all that varies (paper, section 3.5, and more).
 
-    camera, point (N): ids into the state, points ascending, a pair at most once; pixels (N, 2). The gauge is free: the
-    result is as near to the start as the data allow (4 degrees of freedom, 7 at index ratio 1); scale and place are the
-    caller's to fix.
+    links: which lens and which water plane each image has; by default there is one of each. terms: measurements
+    besides pixels. held (m, 6): unknowns of the poses (rotation, then centre) that stay as they are. What else varies
+    is in the options. A gauge that nothing fixes is free: the result is then as near to the start as the data allow
+    (shifts along the water, heading, scale about it; at index ratio 1 all similarities).
+
+    Unknowns in `options.refine` that the data do not determine are held unless `options.refine_unseen`, and the report
+    says so. check: raise ValueError for what cannot be adjusted: see `check_inputs`. Any failure after that is a status.
     """
-    num_shared = RADIAL_TERMS if options.refine_radial else 0
-    plan = SchurPlan.create(camera, point, len(state.center), len(state.points), num_shared)
-    return minimize(_problem(plan, pixels, index_ratio, options, gravity, True), state, options.solver, callback)
+    options = options or BundleOptions()
+    links = links or Links.single(state)
+    if check:
+        check_inputs(state, observations, links, held)
+    kept = concerned_points(terms, len(state.points), state.points)
+    layout = Layout.create(state, links, options.refine, held, kept=kept)
+    problem = BundleProblem.create(state, layout, observations, options, terms)
+    report = minimize(problem, state, options.solver, callback)
+    return BundleReport(report.state, report.status, report.iterations, report.costs, problem)
 
 
 def adjust_pose(
-    state: BundleState,
-    pixels: Tensor,
-    index_ratio: Tensor,
-    options: BundleOptions,
-    gravity: GravityPrior | None = None,
+    state: BundleState, pixels: Tensor, options: BundleOptions | None = None, terms: Sequence[Term] = ()
 ) -> BundleReport:
-    """Minimise the reprojection error of one camera (m = 1) that sees all points of `state`, held fixed."""
-    count = len(state.points)
-    plan = SchurPlan.create(
-        torch.zeros(count, dtype=torch.long, device=pixels.device),
-        torch.arange(count, device=pixels.device),
-        num_cameras=1,
-        num_points=0,
-    )
-    return minimize(_problem(plan, pixels, index_ratio, options, gravity, False), state, options.solver)
+    """Minimise the reprojection error of one camera (m = 1) that sees all points of `state` at pixels (n, 2).
 
-
-def _problem(
-    plan: SchurPlan,
-    pixels: Tensor,
-    index_ratio: Tensor,
-    options: BundleOptions,
-    gravity: GravityPrior | None,
-    free_gauge: bool,
-) -> BundleProblem:
-    return BundleProblem(plan, pixels, index_ratio, options.loss_scale, options.pixel_sigma, gravity, free_gauge)
+    Points, lens and water are held.
+    """
+    options = replace(options or BundleOptions(), refine=())
+    count = torch.arange(len(state.points), device=pixels.device)
+    layout = Layout.create(state, Links.single(state), hold_points=True)
+    problem = BundleProblem.create(state, layout, Observations(torch.zeros_like(count), count, pixels), options, terms)
+    report = minimize(problem, state, options.solver)
+    return BundleReport(report.state, report.status, report.iterations, report.costs, problem)

@@ -1,104 +1,105 @@
-"""The bundle adjustment cost (paper, Eq. 20): reprojection errors through the water, robust, and gravity as a prior."""
+"""The bundle adjustment cost (paper, Eq. 20): reprojection errors through the water, and whatever else was measured."""
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from torchrefrac.bundle.gauge import gauge_directions
-from torchrefrac.bundle.gravity import GravityPrior
-from torchrefrac.camera import Intrinsics, RefractiveCamera, project_with_jacobians
-from torchrefrac.geometry import so3_exp
-from torchrefrac.optim import NormalEquations, SchurPlan, Step, huber
-from torchrefrac.refraction import FlatInterface
-
-IMPOSSIBLE_PX = 1e3
-RADIAL_TERMS = 2
-
-
-@dataclass(frozen=True)
-class BundleState:
-    """rotation (m, 3, 3) cam_from_world, center (m, 3), points (n, 3), and the intrinsics that all images share."""
-
-    rotation: Tensor
-    center: Tensor
-    points: Tensor
-    intrinsics: Intrinsics
+from torchrefrac.bundle.layout import Layout
+from torchrefrac.bundle.options import BundleOptions
+from torchrefrac.bundle.rows import RowModel, observation_rows
+from torchrefrac.bundle.state import BundleState, Observations
+from torchrefrac.bundle.terms import GlobalPrior, Term
+from torchrefrac.numerics import morton_code
+from torchrefrac.optim import Blocks, Linearized, SchurPlan, Step, linearize
 
 
 @dataclass(frozen=True)
 class BundleProblem:
-    """Observations `pixels` (N, 2) of point `plan.point` by camera `plan.camera`.
-
-    index_ratio: scalar tensor. loss_scale (pixels) of the Huber loss; pixel_sigma (pixels) weighs pixels against the
-    gravity prior, if there is one. The plan decides what varies: no points in it, and they are constants; shared
-    unknowns in it, and they are the first radial terms of the lens. free_gauge: keep steps clear of the gauge.
-    """
+    """Observations of points that are eliminated (`seen`, in the plan's order) and of points that are kept."""
 
     plan: SchurPlan
-    pixels: Tensor
-    index_ratio: Tensor
-    loss_scale: float
-    pixel_sigma: float
-    gravity: GravityPrior | None
-    free_gauge: bool
+    layout: Layout
+    seen: Observations
+    kept_seen: Observations
+    terms: tuple[Term, ...]
+    options: BundleOptions
 
-    @cached_property
-    def interface(self) -> FlatInterface:
-        return FlatInterface(self.index_ratio)
+    @classmethod
+    def create(
+        cls,
+        state: BundleState,
+        layout: Layout,
+        observations: Observations,
+        options: BundleOptions,
+        terms: Sequence[Term] = (),
+    ) -> "BundleProblem":
+        """The problem of adjusting `state`. The layout says what varies, the terms what was measured besides pixels."""
+        if layout.kept is None:
+            seen, kept_seen, id_of = observations, observations[:0], None
+        else:
+            among = layout.kept[observations.point]
+            seen, kept_seen = observations[~among], observations[among]
+            id_of = torch.cumsum((~layout.kept).long(), dim=0) - 1
+        free = state.points if layout.kept is None else state.points[~layout.kept]
+        plan = SchurPlan.create(
+            seen.camera,
+            seen.point if id_of is None else id_of[seen.point],
+            layout.num_cameras,
+            len(free),
+            layout.families,
+            3 * layout.num_kept,
+            locality=morton_code(free),
+        )
+        expected = (
+            GlobalPrior(name, state, sigma)
+            for name in (*layout.lens, *layout.water)
+            if (sigma := options.expected.sigma_of(name)) is not None
+        )
+        return cls(plan, layout, seen[plan.order], kept_seen, (*terms, *expected), options)
 
     @property
-    def refractive(self) -> bool:
-        return float(self.index_ratio) > 1.0
-
-    def residuals(self, state: BundleState) -> tuple[Tensor, Tensor]:
-        """Reprojection errors in pixels (N, 2), and which observations are possible (N)."""
-        cameras = RefractiveCamera(state.intrinsics, state.rotation, state.center, self.interface, check=False)
-        projected, valid = cameras[self.plan.camera].project(state.points[self.plan.point])
-        return projected - self.pixels, valid
-
-    def cost(self, state: BundleState) -> Tensor:
-        residual, valid = self.residuals(state)
-        rho, _ = huber(residual.square().sum(dim=-1), self.loss_scale)
-        impossible, _ = huber(residual.new_tensor(IMPOSSIBLE_PX**2), self.loss_scale)
-        total = 0.5 * torch.where(valid, rho, impossible).sum()
-        if self.gravity is not None:
-            total = total + self.gravity.cost(state.rotation, self.pixel_sigma)
-        return total
-
-    def linearize(self, state: BundleState) -> NormalEquations:
-        plan = self.plan
-        rotation, center = state.rotation[plan.camera], state.center[plan.camera]
-        projected, by, valid = project_with_jacobians(
-            state.intrinsics, rotation, center, state.points[plan.point], self.interface
+    def rows_of(self) -> RowModel:
+        options = self.options
+        return RowModel(
+            self.layout.lens,
+            self.layout.water,
+            options.loss,
+            options.loss_scale,
+            frozen_ratio=options.jacobian == "frozen_ratio",
         )
-        residual = projected - self.pixels
-        _, weight = huber(residual.square().sum(dim=-1), self.loss_scale)
-        system = plan.linearize(
-            residual,
-            torch.cat((by.rotation, by.center), dim=-1),
-            by.point,
-            by.distortion[..., : plan.num_shared],
-            torch.where(valid, weight, 0.0),
-        )
-        if self.gravity is not None:
-            system = self.gravity.add_to(system, state.rotation, self.pixel_sigma)
-        if self.free_gauge:
-            gauge = gauge_directions(state.rotation, state.center, plan.num_shared, self.refractive)
-            system = replace(system, null_space=gauge)
-        return system
+
+    def linearize(self, state: BundleState) -> Linearized:
+        """The normal equations at `state`, with their gauge."""
+        options, layout = self.options, self.layout
+        rows, cost = self._rows(state, self.seen)
+        residuals = [term.residuals(state, layout) for term in self.terms]
+        blocks = []
+        for value, jacobian, columns in residuals:
+            cost = cost + 0.5 * options.pixel_sigma**2 * value.square().sum()
+            blocks.append(Blocks.of_rows(columns, options.pixel_sigma * jacobian, options.pixel_sigma * value))
+        if len(self.kept_seen):
+            kept_rows, kept_cost = self._rows(state, self.kept_seen)
+            columns = torch.cat(
+                (self.plan.columns[self.kept_seen.camera], layout.point_columns(self.kept_seen.point)), dim=1
+            )
+            by_observation = kept_rows.permute(2, 0, 1)
+            blocks.append(Blocks.of_rows(columns, by_observation[..., :-1], by_observation[..., -1]))
+            cost = cost + kept_cost
+        cost = torch.where(state.index_ratio >= 1.0, cost, torch.inf)
+        gauge = None if layout.hold_points else gauge_directions(state, layout, residuals)
+        system = linearize(self.plan, rows, cost, blocks, gauge)
+        return Linearized(system, options.reduced_solver, options.iterative, coarse=None)
 
     def retract(self, state: BundleState, step: Step) -> BundleState:
-        size = 6 * self.plan.num_cameras
-        blocks = step.camera[:size].reshape(-1, 6)
-        intrinsics = state.intrinsics
-        if self.plan.num_shared:
-            change = torch.nn.functional.pad(step.camera[size:], (0, 5 - self.plan.num_shared))
-            intrinsics = replace(intrinsics, distortion=intrinsics.distortion + change)
-        return BundleState(
-            rotation=so3_exp(blocks[:, :3]) @ state.rotation,
-            center=state.center + blocks[:, 3:],
-            points=state.points + step.point if self.plan.num_points else state.points,
-            intrinsics=intrinsics,
-        )
+        return self.layout.retract(state, step)
+
+    def _rows(self, state: BundleState, seen: Observations) -> tuple[Tensor, Tensor]:
+        rows, cost = observation_rows(self.rows_of, state, self.layout.links, seen, self.options.compiled)
+        if self.layout.held is not None:
+            rows[:, :6].mul_((~self.layout.held)[seen.camera].T)
+        if self.layout.hold_points:
+            rows[:, -4:-1] = 0.0
+        return rows, cost

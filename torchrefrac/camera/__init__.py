@@ -3,7 +3,7 @@
 from torchrefrac.camera.distortion import distort, distort_with_jacobians, undistort
 from torchrefrac.camera.images import remove_refraction
 from torchrefrac.camera.intrinsics import Intrinsics
-from torchrefrac.camera.jacobians import ProjectionJacobians, project_with_jacobians
+from torchrefrac.camera.jacobians import ProjectionJacobians, project_with_jacobians, projection_parts
 from torchrefrac.camera.kornia import from_kornia, to_kornia
 from torchrefrac.camera.learnable import LearnableCamera
 from torchrefrac.camera.refractive import RefractiveCamera
@@ -17,6 +17,7 @@ __all__ = [
     "distort_with_jacobians",
     "from_kornia",
     "project_with_jacobians",
+    "projection_parts",
     "remove_refraction",
     "to_kornia",
     "undistort",

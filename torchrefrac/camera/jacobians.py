@@ -8,6 +8,7 @@ v_n along the normal, H_h, H_d, H_D the derivatives of H in height, depth and D 
 a rank-one change of the pinhole's derivative. No approximation is made (the paper holds the refrax ratio constant).
 """
 
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import torch
@@ -22,7 +23,8 @@ from torchrefrac.numerics import in_blocks
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.refraction.lift import Lift, Sight, is_valid, precise, solve_height_with_partials
 
-RESULT_DIMS = (1, 0, 2, 2, 2, 2, 2, 2, 2, 1)
+BLOCKS = ("rotation", "center", "point", "focal", "distortion", "indices", "plane_tilt", "plane_height")
+Axes = tuple[Sequence[Tensor], Sequence[Tensor]]
 
 
 class ProjectionJacobians(NamedTuple):
@@ -59,59 +61,84 @@ def project_with_jacobians(
     """
 
     def block(first: Tensor, second: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
-        view = view_of(tensors, interface)
-        lift = solve_height_with_partials(view.sight, interface.camera_in_rarest)
-        return _differentiate(view, lift, tangents=(triples.split(first), triples.split(second)))
+        pixel, valid, by = _differentiate(tensors, interface, (triples.split(first), triples.split(second)), BLOCKS)
+        return torch.stack(pixel, dim=-1), valid, *(_stack(*by[name]) for name in BLOCKS)
 
     tensors, event_dims = operands(intrinsics, rotation, center, points, interface)
     tangents = interface.plane.tangents_like(points)
-    results = in_blocks(precise(block, interface), [*tangents, *tensors], [1, 1, *event_dims], RESULT_DIMS)
-    pixels, valid, by_rotation, by_center, by_point, by_focal, by_distortion, by_indices, by_tilt, by_height = results
-    by_principal_point = torch.eye(2, dtype=pixels.dtype, device=pixels.device).expand((*valid.shape, 2, 2))
-    return (
-        pixels,
-        ProjectionJacobians(
-            rotation=by_rotation,
-            center=by_center,
-            point=by_point,
-            focal=by_focal,
-            principal_point=by_principal_point,
-            distortion=by_distortion,
-            indices=by_indices,
-            plane_tilt=by_tilt,
-            plane_height=by_height,
-        ),
-        valid,
-    )
+    dims = (1, 0, *(2 for _ in BLOCKS))
+    results = in_blocks(precise(block, interface), [*tangents, *tensors], [1, 1, *event_dims], dims)
+    pixels, valid, *blocks = results
+    by = dict(zip(BLOCKS, blocks, strict=True))
+    by["plane_height"] = by["plane_height"][..., 0]
+    by["principal_point"] = torch.eye(2, dtype=pixels.dtype, device=pixels.device).expand((*valid.shape, 2, 2))
+    return pixels, ProjectionJacobians(**by), valid
 
 
-def _differentiate(view: View, lift: Lift, tangents: tuple[Triple, Triple]) -> tuple[Tensor, ...]:
+def projection_parts(
+    intrinsics: Intrinsics,
+    rotation: Tensor,
+    center: Tensor,
+    points: Tensor,
+    interface: FlatInterface,
+    wanted: Sequence[str],
+    frozen_ratio: bool = False,
+) -> tuple[tuple[Tensor, Tensor], Tensor, dict[str, Axes]]:
+    """`project_with_jacobians` of N observations for those who lay out the numbers themselves.
+
+    Returns the pixel's coordinates u and v (N each), validity (N), and by name the derivatives of u and those of v, as
+    many tensors (N) as the block is wide, of the `wanted` blocks (field names of `ProjectionJacobians`) if of no others.
+    Stacks are solved in the dtype given. The N are worked through at once: hand over as many as fit the processor's cache.
+
+    frozen_ratio: the refrax ratio lambda counts as a constant, as in the paper (section 3.5): the refrax
+    moves with camera and point, but the bend does not. A point's depth has no derivative then. An approximation.
+    """
+    tensors, _ = operands(intrinsics, rotation, center, points, interface)
+    first, second = interface.plane.tangents_like(points)
+    return _differentiate(tensors, interface, (triples.split(first), triples.split(second)), wanted, frozen_ratio)
+
+
+def _differentiate(
+    tensors: Sequence[Tensor],
+    interface: FlatInterface,
+    tangents: tuple[Triple, Triple],
+    wanted: Collection[str],
+    frozen_ratio: bool = False,
+) -> tuple[tuple[Tensor, Tensor], Tensor, dict[str, Axes]]:
+    """The pixel's two coordinates, validity, and the derivatives of either coordinate, a sequence a block."""
+    view = view_of(tensors, interface)
+    lift = solve_height_with_partials(view.sight, interface.camera_in_rarest)
+    if frozen_ratio:
+        lift = _with_frozen_ratio(view.sight, lift)
     x_in_cam = in_camera(view, lift.height)
     x, y, inverse, ahead = onto_plane(x_in_cam)
     slopes = distortion_slopes(x, y, view.distortion)
     u, v = slopes.u, slopes.v
     (fx, fy), (cx, cy) = view.focal, view.principal_point
-    bend = _bend(view.sight, lift, tangents)
+    bend = _bend(view.sight, lift, tangents, with_tilt="plane_tilt" in wanted)
     axes = []
     for f, along_x, along_y in ((fx, slopes.du_dx, slopes.mixed), (fy, slopes.mixed, slopes.dv_dy)):
         by_x, by_y = f * inverse * along_x, f * inverse * along_y
         by_offset = (by_x, by_y, -(by_x * x + by_y * y))
-        axes.append(_of_axis(view, bend, x_in_cam, by_offset))
-    zero = torch.zeros_like(u)
-    by_distortion = (*(fx * by for by in slopes.by_u), *(fy * by for by in slopes.by_v))
-    blocks = [_stack(u_part, v_part) for u_part, v_part in zip(*axes, strict=True)]
-    by_rotation, by_center, by_point, by_indices, by_tilt, by_height = blocks
-    return (
-        torch.stack((fx * u + cx, fy * v + cy), dim=-1),
-        is_valid(view.sight, lift.height) & ahead,
-        by_rotation,
-        by_center,
-        by_point,
-        _stack((u, zero), (zero, v)),
-        _stack(by_distortion[:5], by_distortion[5:]),
-        by_indices,
-        by_tilt,
-        by_height[..., 0],
+        axes.append(_of_axis(view, bend, x_in_cam, by_offset, wanted))
+    by: dict[str, Axes] = {name: (axes[0][name], axes[1][name]) for name in axes[0]}
+    zero, one = torch.zeros_like(u), torch.ones_like(u)
+    by["focal"] = ((u, zero), (zero, v))
+    by["principal_point"] = ((one, zero), (zero, one))
+    if "distortion" in wanted:
+        by["distortion"] = ([fx * slope for slope in slopes.by_u], [fy * slope for slope in slopes.by_v])
+    return (fx * u + cx, fy * v + cy), is_valid(view.sight, lift.height) & ahead, by
+
+
+def _with_frozen_ratio(sight: Sight, lift: Lift) -> Lift:
+    """H = h / lambda with lambda a constant, where light is bent."""
+    zero = torch.zeros_like(lift.height)
+    return Lift(
+        height=lift.height,
+        by_height=torch.where(sight.bent, lift.height / sight.safe_height, lift.by_height),
+        by_depth=torch.where(sight.bent, 0.0, lift.by_depth),
+        by_distance_sq=zero,
+        by_index=[zero for _ in lift.by_index],
     )
 
 
@@ -131,7 +158,7 @@ class _Bend(NamedTuple):
     by_index: list[Tensor]
 
 
-def _bend(sight: Sight, lift: Lift, tangents: tuple[Triple, Triple]) -> _Bend:
+def _bend(sight: Sight, lift: Lift, tangents: tuple[Triple, Triple], with_tilt: bool) -> _Bend:
     n, u = sight.normal, sight.horizontal
     twice_by_distance_sq = 2.0 * lift.by_distance_sq
     along_u = triples.scaled(twice_by_distance_sq, u)
@@ -139,33 +166,45 @@ def _bend(sight: Sight, lift: Lift, tangents: tuple[Triple, Triple]) -> _Bend:
     dn: list[Triple] = [(-second[0], -second[1], -second[2]), first]  # turning about t moves n by t x n
     by_straight = 1.0 - twice_by_distance_sq * sight.along
     by_point, by_center = by_straight - lift.by_depth, lift.by_height - by_straight
-    alpha = [by_point * triples.dot(sight.point, d) + by_center * triples.dot(sight.center, d) for d in dn]
+    tilts = dn if with_tilt else []
+    alpha = [by_point * triples.dot(sight.point, d) + by_center * triples.dot(sight.center, d) for d in tilts]
     return _Bend(
         q=triples.add_scaled(along_u, 1.0 - lift.by_depth, n),
         r=triples.add_scaled(triples.scaled(lift.by_height - 1.0, n), twice_by_distance_sq, u, sign=-1.0),
         alpha=alpha,
         rise=sight.along + lift.height,
-        dn=dn,
+        dn=tilts,
         by_height=lift.by_depth - lift.by_height,
         by_index=lift.by_index,
     )
 
 
-def _of_axis(view: View, bend: _Bend, x_in_cam: Triple, by_offset: Triple) -> tuple[tuple[Tensor, ...], ...]:
+def _of_axis(
+    view: View, bend: _Bend, x_in_cam: Triple, by_offset: Triple, wanted: Collection[str]
+) -> dict[str, Sequence[Tensor]]:
     """Derivatives of one pixel coordinate, given that in the apparent offset in the camera's frame."""
     g = by_offset if view.in_camera else _to_world(view, by_offset)
     g_n = triples.dot(g, view.sight.normal)
+    by: dict[str, Sequence[Tensor]] = {}
     by_point = triples.add_scaled(g, g_n, bend.q, sign=-1.0)
     if view.in_camera:
-        by_rotation = triples.cross(view.sight.point, by_point)
+        by["rotation"] = triples.cross(view.sight.point, by_point)
         by_point = _to_world(view, by_point)
-        by_center = (-by_point[0], -by_point[1], -by_point[2])
+        by["center"] = (-by_point[0], -by_point[1], -by_point[2])
     else:
-        by_rotation = triples.cross(x_in_cam, by_offset)
-        by_center = triples.add_scaled((-g[0], -g[1], -g[2]), g_n, bend.r, sign=-1.0)
-    by_tilt = [-alpha * g_n - bend.rise * triples.dot(g, dn) for alpha, dn in zip(bend.alpha, bend.dn, strict=True)]
-    by_indices = [-g_n * by for by in bend.by_index]
-    return by_rotation, by_center, by_point, tuple(by_indices), tuple(by_tilt), (-g_n * bend.by_height,)
+        if "rotation" in wanted:
+            by["rotation"] = triples.cross(x_in_cam, by_offset)
+        if "center" in wanted:
+            by["center"] = triples.add_scaled((-g[0], -g[1], -g[2]), g_n, bend.r, sign=-1.0)
+    by["point"] = by_point
+    by["plane_tilt"] = [
+        -alpha * g_n - bend.rise * triples.dot(g, dn) for alpha, dn in zip(bend.alpha, bend.dn, strict=True)
+    ]
+    if "indices" in wanted:
+        by["indices"] = [-g_n * by_index for by_index in bend.by_index]
+    if "plane_height" in wanted:
+        by["plane_height"] = [-g_n * bend.by_height]
+    return by
 
 
 def _to_world(view: View, row: Triple) -> Triple:
@@ -174,7 +213,7 @@ def _to_world(view: View, row: Triple) -> Triple:
     return triples.add_scaled(triples.add_scaled(triples.scaled(row[0], first), row[1], second), row[2], third)
 
 
-def _stack(u_part: tuple[Tensor, ...], v_part: tuple[Tensor, ...]) -> Tensor:
+def _stack(u_part: Sequence[Tensor], v_part: Sequence[Tensor]) -> Tensor:
     """(*B, 2, k) from the k derivatives of u and those of v."""
     entries = torch.broadcast_tensors(*u_part, *v_part)
     return torch.stack(entries).unflatten(0, (2, len(u_part))).movedim((0, 1), (-2, -1))

@@ -1,5 +1,7 @@
 """Closed forms for batches of 2x2 and 3x3 symmetric matrices."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -10,21 +12,28 @@ def inverse_cholesky_3x3(matrix: Tensor) -> Tensor:
     X is the inverse of the Cholesky factor, so A^-1 = X^T X. Pivots are kept above rounding error of
     the diagonal: a singular A gives a large but finite X.
     """
-    eps, tiny = torch.finfo(matrix.dtype).eps, torch.finfo(matrix.dtype).tiny
-    floor = (eps * matrix.diagonal(dim1=-2, dim2=-1)).clamp(min=tiny)
-    a00, a10, a11 = matrix[..., 0, 0], matrix[..., 1, 0], matrix[..., 1, 1]
-    a20, a21, a22 = matrix[..., 2, 0], matrix[..., 2, 1], matrix[..., 2, 2]
+    a = matrix
+    x = inverse_cholesky_components(
+        (a[..., 0, 0], a[..., 1, 0], a[..., 1, 1], a[..., 2, 0], a[..., 2, 1], a[..., 2, 2])
+    )
+    zero = torch.zeros_like(x[0])
+    rows = (x[0], zero, zero, x[1], x[2], zero, x[3], x[4], x[5])
+    return torch.stack(rows, dim=-1).reshape(matrix.shape)
+
+
+def inverse_cholesky_components(a: Sequence[Tensor]) -> tuple[Tensor, ...]:
+    """`inverse_cholesky_3x3` of matrices whose lower triangles are held apart, row by row: six tensors (*B)."""
+    a00, a10, a11, a20, a21, a22 = a
+    eps, tiny = torch.finfo(a00.dtype).eps, torch.finfo(a00.dtype).tiny
     x00 = a00.clamp(min=tiny).rsqrt()
     l10, l20 = a10 * x00, a20 * x00
-    x11 = (a11 - l10 * l10).clamp(min=floor[..., 1]).rsqrt()
+    x11 = torch.maximum(a11 - l10 * l10, (eps * a11).clamp(min=tiny)).rsqrt()
     l21 = (a21 - l20 * l10) * x11
-    x22 = (a22 - l20 * l20 - l21 * l21).clamp(min=floor[..., 2]).rsqrt()
+    x22 = torch.maximum(a22 - l20 * l20 - l21 * l21, (eps * a22).clamp(min=tiny)).rsqrt()
     x10 = -l10 * x00 * x11
     x21 = -l21 * x11 * x22
     x20 = -(l20 * x00 + l21 * x10) * x22
-    zero = torch.zeros_like(x00)
-    rows = (x00, zero, zero, x10, x11, zero, x20, x21, x22)
-    return torch.stack(rows, dim=-1).reshape(matrix.shape)
+    return x00, x10, x11, x20, x21, x22
 
 
 def smallest_eigenvector_2x2(matrix: Tensor) -> Tensor:

@@ -1,7 +1,9 @@
 """Levenberg-Marquardt: a candidate state is accepted or dropped, never changed in place and undone.
 
-The damping follows Nielsen's rule (Madsen, Nielsen, Tingleff, "Methods for non-linear least squares problems",
-2004, Eq. 2.21): continuous in the gain ratio when a step is accepted, doubling increases when it is not.
+A candidate is linearised as it is judged: its cost costs little less than that, and most steps are accepted. One that
+is not leaves the linearisation before it as it was, to be solved again with more damping. The damping follows Nielsen's
+rule (Madsen, Nielsen, Tingleff, "Methods for non-linear least squares problems", 2004, Eq. 2.21): continuous in the gain
+ratio when a step is accepted, doubling increases when it is not.
 """
 
 import math
@@ -16,9 +18,10 @@ Status = Literal["converged", "max_iterations", "stalled", "not_finite"]
 
 
 class Step(NamedTuple):
-    """A proposed change; predicted_decrease is how much the linear model expects the cost to fall."""
+    """A proposed change: of what is kept (size) and of the points (n, 3); predicted_decrease is how much the linear
+    model expects the cost to fall."""
 
-    camera: Tensor
+    kept: Tensor
     point: Tensor
     predicted_decrease: Tensor
     solved: Tensor
@@ -27,6 +30,11 @@ class Step(NamedTuple):
 class Linearization(Protocol):
     """The problem linearised at one state."""
 
+    @property
+    def cost(self) -> Tensor:
+        """Half the sum of (robust) squared residuals at the state, a scalar."""
+        ...
+
     def solve(self, damping: float) -> Step:
         """The step for H + damping * diag(H)."""
         ...
@@ -34,10 +42,6 @@ class Linearization(Protocol):
 
 class Problem(Protocol[State]):
     """A non-linear least-squares problem; states are immutable."""
-
-    def cost(self, state: State) -> Tensor:
-        """Half the sum of (robust) squared residuals, a scalar."""
-        ...
 
     def linearize(self, state: State) -> Linearization: ...
 
@@ -75,32 +79,30 @@ def minimize(
     The state returned is never worse than the one given. Statuses: "converged"; "max_iterations"; "stalled", no step
     lowers the cost at any damping (usually a minimum to rounding); "not_finite", the cost of the start is not a number.
     """
-    cost = float(problem.cost(state))
+    current = problem.linearize(state)
+    cost = float(current.cost)
     costs = [cost]
     if not math.isfinite(cost):
         return MinimizeReport(state, "not_finite", 0, costs)
     damping, growth = options.initial_damping, 2.0
-    linearization = problem.linearize(state)
     for iteration in range(1, options.max_iterations + 1):
-        step = linearization.solve(damping)
+        step = current.solve(damping)
+        first_try = growth == 2.0  # later ones are damped so much that a small prediction says nothing
         candidate = problem.retract(state, step)
-        candidate_cost = float(problem.cost(candidate))
-        predicted = float(step.predicted_decrease)
-        decrease = cost - candidate_cost
-        if bool(step.solved) and math.isfinite(candidate_cost) and predicted > 0.0 and decrease >= 0.0:
-            gain = decrease / predicted
-            damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+        tried = problem.linearize(candidate)
+        tried_cost, predicted, solved = float(tried.cost), float(step.predicted_decrease), bool(step.solved)
+        decrease = cost - tried_cost
+        if solved and math.isfinite(tried_cost) and predicted > 0.0 and decrease >= 0.0:
+            damping *= max(1.0 / 3.0, 1.0 - (2.0 * decrease / predicted - 1.0) ** 3)
             growth = 2.0
-            state, cost = candidate, candidate_cost
+            state, cost, current = candidate, tried_cost, tried
             costs.append(cost)
             if callback is not None:
                 callback(iteration, cost)
             if decrease <= options.function_tolerance * cost:
                 return MinimizeReport(state, "converged", iteration, costs)
-            linearization = problem.linearize(state)
         else:
-            first_try = growth == 2.0  # later ones are damped so much that a small prediction says nothing
-            if first_try and bool(step.solved) and 0.0 <= predicted <= options.function_tolerance * cost:
+            if first_try and solved and 0.0 <= predicted <= options.function_tolerance * cost:
                 return MinimizeReport(state, "converged", iteration, costs)
             damping *= growth
             growth *= 2.0

@@ -1,7 +1,32 @@
-"""Robust losses rho(s) of a squared residual norm s, and the weights rho'(s) of iteratively reweighted squares."""
+"""Robust losses rho(s) of a squared residual norm s, and the weights rho'(s) of iteratively reweighted least squares.
+
+The Gauss-Newton matrix takes these weights alone. Triggs' correction (Triggs et al., "Bundle adjustment - a modern
+synthesis", 2000, section 4.3) would add the rank-one term of rho'', which is negative where these losses bend: it takes
+away the positive definiteness that a Cholesky factorisation stands on, and near the minimum gains next to nothing.
+"""
+
+from typing import Literal
 
 import torch
 from torch import Tensor
+
+LossName = Literal["squared", "huber", "cauchy", "truncated"]
+
+
+def robust(s: Tensor, loss: LossName, scale: float) -> tuple[Tensor, Tensor]:
+    """rho (*B) and its derivative (*B) at squared norms s (*B); `scale` is in the unit of the residual.
+
+    squared: s itself. huber: linear in |r| beyond the scale. cauchy: scale^2 log(1 + s / scale^2). truncated: constant
+    beyond the scale.
+    """
+    if loss == "squared":
+        return s, torch.ones_like(s)
+    if loss == "huber":
+        return huber(s, scale)
+    limit = scale * scale
+    if loss == "cauchy":
+        return limit * torch.log1p(s / limit), (1.0 + s / limit).reciprocal()
+    return s.clamp(max=limit), (s <= limit).to(s.dtype)
 
 
 def huber(s: Tensor, scale: float) -> tuple[Tensor, Tensor]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import torch
 
-from torchrefrac.bundle import BundleOptions, BundleState, GravityPrior, adjust
+from torchrefrac.bundle import BundleOptions, BundleState, GravityPrior, Observations, adjust
 from torchrefrac.scene import Capture
 from torchrefrac.sfm.model import SparseModel
 
@@ -25,16 +25,16 @@ def adjust_model(
     camera_of[images] = torch.arange(len(images))
     refractive = bool(model.index_ratio > 1.0)
     report = adjust(
-        BundleState(model.rotation[images], model.center[images], model.points[ids], model.intrinsics),
-        camera=camera_of[tracks.image[rows]],
-        point=point,
-        pixels=tracks.pixels[rows],
-        index_ratio=model.index_ratio,
-        options=options,
-        gravity=GravityPrior(capture.down_in_cam[images], capture.down_sigma) if refractive else None,
+        BundleState(
+            model.rotation[images], model.center[images], model.points[ids], model.intrinsics, model.index_ratio
+        ),
+        Observations(camera_of[tracks.image[rows]], point, tracks.pixels[rows]),
+        options,
+        terms=[GravityPrior(capture.down_in_cam[images], capture.down_sigma)] if refractive else [],
+        check=False,
         callback=callback,
     )
     points = model.points.clone()
     points[ids] = report.state.points
     model = model.with_poses(images, report.state.rotation, report.state.center)
-    return replace(model, points=points, intrinsics=report.state.intrinsics)
+    return replace(model, points=points, intrinsics=report.state.lens, index_ratio=report.state.index_ratio)

@@ -22,8 +22,8 @@ def refine_pose(
 ) -> Pose:
     """Adjust one camera to its inliers, twice; inliers are then those within ransac.max_error."""
     for _ in range(ROUNDS):
-        state = BundleState(pose.rotation[None], pose.center[None], points[pose.inliers], intrinsics)
-        report = adjust_pose(state, pixels[pose.inliers], index_ratio, options.bundle)
+        state = BundleState(pose.rotation[None], pose.center[None], points[pose.inliers], intrinsics, index_ratio)
+        report = adjust_pose(state, pixels[pose.inliers], options.bundle)
         rotation, center = report.state.rotation[0], report.state.center[0]
         camera = RefractiveCamera(intrinsics, rotation, center, FlatInterface(index_ratio), check=False)
         projected, valid = camera.project(points)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchrefrac.bundle import BundleOptions, BundleState, adjust
+from torchrefrac.bundle import BundleOptions, BundleState, Observations, adjust
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.numerics import thin
 from torchrefrac.optim import LevenbergMarquardtOptions
@@ -35,19 +35,21 @@ def refine_pair(
     The adjustment takes MAX_MATCHES of them, evenly: more do not change the verdict on the rest.
     """
     both = torch.stack(pixels, dim=1)
-    options = replace(options, refine_radial=False, solver=SOLVER)
+    options = replace(options, refine=(), solver=SOLVER)
     pose = PairPose(rotation, center, inliers, 0.0)
     for _ in range(ROUNDS):
         rows = thin(inliers.nonzero()[:, 0], MAX_MATCHES)
         camera = _cameras(intrinsics, rotation, center, index_ratio)
         points, _, _ = triangulate_rays(camera, both[rows], _both_seen(both[rows]))
         report = adjust(
-            BundleState(rotation, center, points, intrinsics),
-            camera=torch.arange(2).repeat(len(rows)),
-            point=torch.arange(len(rows)).repeat_interleave(2),
-            pixels=both[rows].flatten(0, 1),
-            index_ratio=index_ratio,
-            options=options,
+            BundleState(rotation, center, points, intrinsics, index_ratio),
+            Observations(
+                camera=torch.arange(2).repeat(len(rows)),
+                point=torch.arange(len(rows)).repeat_interleave(2),
+                pixels=both[rows].flatten(0, 1),
+            ),
+            options,
+            check=False,
         )
         rotation, center = report.state.rotation, report.state.center
         pose = judge_pair(rotation, center, pixels, intrinsics, index_ratio, max_error)

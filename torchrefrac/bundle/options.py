@@ -1,0 +1,33 @@
+"""How a bundle adjustment is done."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from torchrefrac.bundle.terms import Expectations
+from torchrefrac.optim import IterativeOptions, LevenbergMarquardtOptions, LossName, ReducedSolver
+
+Unknown = Literal["focal", "principal_point", "radial", "distortion", "index_ratio", "plane_tilt", "plane_height"]
+
+
+@dataclass(frozen=True)
+class BundleOptions:
+    """loss of loss_scale pixels. pixel_sigma: expected noise of a keypoint, pixels; weighs it against other measurements.
+
+    refine: what varies besides poses and points: of the lens focal (both focal lengths by the same factor),
+    principal_point, radial (k1 and k2), distortion (all five); of the water index_ratio, plane_tilt, plane_height.
+    expected: what is known of them beforehand. refine_unseen: vary even what the data do not determine.
+    jacobian: exact, or with the refrax ratio frozen as in the paper. reduced_solver: see `optim.Linearized`. compiled:
+    hand the derivatives to torch.compile, which takes a minute once and a C++ compiler.
+    """
+
+    loss: LossName = "huber"
+    loss_scale: float = 0.25
+    pixel_sigma: float = 0.3
+    refine: tuple[Unknown, ...] = ()
+    expected: Expectations = field(default_factory=Expectations)
+    refine_unseen: bool = False
+    jacobian: Literal["exact", "frozen_ratio"] = "exact"
+    reduced_solver: ReducedSolver = "auto"
+    iterative: IterativeOptions = field(default_factory=IterativeOptions)
+    compiled: bool = False
+    solver: LevenbergMarquardtOptions = field(default_factory=LevenbergMarquardtOptions)

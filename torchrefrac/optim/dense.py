@@ -1,0 +1,40 @@
+"""The reduced system solved by a dense Cholesky factorisation: to the last weak mode, up to some thousand unknowns."""
+
+import torch
+from torch import Tensor
+
+from torchrefrac.optim.elimination import Elimination
+
+
+def solve_dense(elimination: Elimination) -> tuple[Tensor, Tensor]:
+    """Step (size) of the damped reduced system, and whether there is one; zero where there is not.
+
+    Unknowns that nothing depends on stand still.
+    """
+    system = elimination.system
+    matrix, negative = elimination.reduced()
+    matrix.diagonal().add_(elimination.damping * system.diagonal)
+    scale = prepare(matrix, system.null_space)
+    factor, info = torch.linalg.cholesky_ex(matrix)
+    solution = -torch.cholesky_solve((negative * scale)[:, None], factor)[:, 0] * scale
+    solved = (info == 0) & solution.isfinite().all()
+    return torch.where(solved, solution, 0.0), solved
+
+
+def prepare(matrix: Tensor, null_space: Tensor | None) -> Tensor:
+    """Make a reduced matrix one that has a Cholesky factor, in place: S A S with a unit diagonal. Returns S (size).
+
+    Unknowns that nothing depends on get the diagonal 1; directions of the null space get the mean of the diagonal.
+    """
+    diagonal = matrix.diagonal()
+    diagonal.copy_(torch.where(diagonal == 0.0, 1.0, diagonal))
+    if null_space is not None:
+        matrix.addmm_(null_space * null_space_weight(matrix), null_space.T)
+    scale = diagonal.clamp(min=torch.finfo(matrix.dtype).tiny).rsqrt()
+    matrix.mul_(scale[:, None]).mul_(scale)
+    return scale
+
+
+def null_space_weight(matrix: Tensor) -> Tensor:
+    """How stiff the null space is made: a scalar."""
+    return matrix.diagonal().mean()

@@ -1,0 +1,97 @@
+"""The reduced system solved by conjugate gradients, without forming it: for thousands of cameras.
+
+The preconditioner is the reduced system's own block diagonal (Schur-Jacobi), and beside it a coarse correction: the
+system restricted to a few directions in which all cameras move together. Refraction leaves such directions weak - the
+cameras can rise, tilt and bend with the scene at next to no cost - and block by block they converge very slowly.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchrefrac.optim.elimination import Elimination
+from torchrefrac.optim.plan import CAMERA_SIZE
+
+
+@dataclass(frozen=True)
+class IterativeOptions:
+    """Stop when the residual has fallen to `tolerance` of the right side, in the preconditioner's norm."""
+
+    tolerance: float = 1e-6
+    max_iterations: int = 500
+
+
+def solve_iteratively(
+    elimination: Elimination, coarse: Tensor | None, options: IterativeOptions
+) -> tuple[Tensor, Tensor]:
+    """Step (size) of the damped reduced system, and whether it is one; coarse (size, c): directions taken exactly."""
+    system, damping = elimination.system, elimination.damping
+    dead = system.diagonal == 0.0
+    lift = torch.where(dead, 1.0, damping * system.diagonal)
+
+    def times(x: Tensor) -> Tensor:
+        eliminated = elimination.along_cameras(elimination.times_inverse(elimination.along_points(x)))
+        return system.apply(x) + lift * x - eliminated
+
+    right = elimination.along_cameras(elimination.times_inverse(system.point_gradient)) - system.gradient
+    precondition = _preconditioner(elimination, lift, coarse, times)
+    x = torch.zeros_like(right)
+    residual, z = right, precondition(right)
+    direction = z
+    size = start = residual @ z
+    for _ in range(options.max_iterations):
+        if bool(size <= options.tolerance**2 * start):
+            break
+        along = times(direction)
+        bend = direction @ along
+        length = torch.where(bend > 0.0, size / bend, 0.0)
+        x, residual = x + length * direction, residual - length * along
+        z = precondition(residual)
+        before, size = size, residual @ z
+        direction = z + (size / before) * direction
+    return x, x.isfinite().all()
+
+
+def _preconditioner(elimination: Elimination, lift: Tensor, coarse: Tensor | None, times):
+    """x -> D^-1 x + W (W^T S W)^-1 W^T x."""
+    system, plan = elimination.system, elimination.system.plan
+    first = CAMERA_SIZE * plan.num_cameras
+    blocks = _camera_diagonal(elimination, lift)
+    factor = torch.linalg.cholesky_ex(blocks)[0]
+    rest = (system.diagonal + lift)[first:].reciprocal()
+    if coarse is None:
+        coarse = lift.new_zeros(plan.size, 0)
+    shared = torch.zeros(plan.size, plan.size - first, dtype=lift.dtype, device=lift.device)
+    shared[first:] = torch.eye(plan.size - first, dtype=lift.dtype, device=lift.device)
+    basis = torch.cat((coarse, shared), dim=1)
+    if basis.shape[1]:
+        basis = torch.linalg.qr(basis).Q
+        image = torch.stack([times(column) for column in basis.T], dim=1)
+        small = torch.linalg.pinv(basis.T @ image, hermitian=True)
+
+    def apply(x: Tensor) -> Tensor:
+        cameras = torch.cholesky_solve(x[:first].view(-1, CAMERA_SIZE, 1), factor).flatten()
+        local = torch.cat((cameras, rest * x[first:]))
+        return local + basis @ (small @ (basis.T @ x)) if basis.shape[1] else local
+
+    return apply
+
+
+def _camera_diagonal(elimination: Elimination, lift: Tensor) -> Tensor:
+    """The 6x6 diagonal blocks of the damped reduced system (m, 6, 6)."""
+    system, m = elimination.system, elimination.system.plan.num_cameras
+    first = CAMERA_SIZE * m
+    blocks = lift.new_zeros(m + 1, CAMERA_SIZE, CAMERA_SIZE)
+    for chunk, z, _ in elimination.tiles():
+        by_camera = z.unflatten(-1, (chunk.cameras.shape[1], CAMERA_SIZE)).transpose(1, 2).flatten(0, 1)
+        blocks.index_add_(0, chunk.cameras.flatten(), by_camera.mT @ by_camera, alpha=-1.0)
+    own = blocks[:m]
+    for columns, hessian, _ in system.blocks:
+        across = (columns[:, :, None] // CAMERA_SIZE == columns[:, None, :] // CAMERA_SIZE) & (
+            columns[:, :, None] < first
+        )
+        k, i, j = across.nonzero().T
+        row, column = columns[k, i], columns[k, j]
+        own.view(-1).index_add_(0, row * CAMERA_SIZE + column % CAMERA_SIZE, hessian[k, i, j])
+    return own + torch.diag_embed(lift[:first].view(m, CAMERA_SIZE))

@@ -1,0 +1,187 @@
+"""What a bundle adjustment looks like before any number is known: who sees what, in which order, in which tiles.
+
+The order is chosen for the Schur complement. Points that are seen by the same cameras lie side by side and are cut into
+tiles of `TILE` points; what a tile adds to the reduced system is one small dense matrix product over the few cameras
+that see it. Tiles with as many cameras lie side by side, so that they can be multiplied as a batch.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+TILE = 64
+CAMERA_SIZE = 6
+POINT_SIZE = 3
+CHUNK_ELEMENTS = 1 << 19
+CHUNK_GROWTH = 1.15
+GRAM_ROWS = 256
+
+
+class Family(NamedTuple):
+    """`size` unknowns that come in `count` copies, of which every camera has one: of_camera (m).
+
+    A lens for each of several cameras that took turns, a water level for each of several days.
+    """
+
+    size: int
+    of_camera: Tensor
+    count: int = 1
+
+
+class Chunk(NamedTuple):
+    """Consecutive tiles, multiplied together.
+
+    tiles, observations: the first and the end of each. cameras (B, C): who sees each of B tiles, ascending, filled up
+    with m. place (k): where the first row of each observation goes in a buffer of (B * TILE * 3, C) blocks.
+    """
+
+    tiles: slice
+    observations: slice
+    cameras: Tensor
+    place: Tensor
+
+
+@dataclass(frozen=True)
+class SchurPlan:
+    """The structure of the normal equations; everything in `order`, an arrangement of the observations given.
+
+    camera, point (N): ids, the latter as places among `num_places` (tiles are filled up). place_of_point (n). The
+    reduced unknowns are 6 for each of m cameras, those of the families, and `num_extra` more that no point depends on;
+    columns (m, w): where those that the observations of a camera depend on are found among them.
+    """
+
+    order: Tensor
+    camera: Tensor
+    point: Tensor
+    place_of_point: Tensor
+    num_cameras: int
+    num_places: int
+    families: tuple[Family, ...]
+    num_extra: int
+    columns: Tensor
+    chunks: tuple[Chunk, ...]
+
+    @classmethod
+    def create(
+        cls,
+        camera: Tensor,
+        point: Tensor,
+        num_cameras: int,
+        num_points: int,
+        families: Sequence[Family] = (),
+        num_extra: int = 0,
+        locality: Tensor | None = None,
+    ) -> "SchurPlan":
+        """Plan for observations of `point` (N) by `camera` (N), in any order, no pair twice.
+
+        locality (n), whole numbers: points of near values are seen by the same cameras (a place on a curve that fills
+        space); by default the mean of their cameras' ids.
+        """
+        if len(torch.unique(point * num_cameras + camera)) < len(point):
+            raise ValueError("a camera sees a point twice; each pair of camera and point may occur once")
+        place_of_point, num_tiles = _places(camera, point, num_cameras, num_points, locality)
+        place = place_of_point[point]
+        order = torch.argsort(place * num_cameras + camera)
+        camera, place = camera[order], place[order]
+        columns = [CAMERA_SIZE * torch.arange(num_cameras, device=camera.device)[:, None] + _range(CAMERA_SIZE, camera)]
+        first = CAMERA_SIZE * num_cameras
+        for family in families:
+            columns.append(first + family.size * family.of_camera[:, None] + _range(family.size, camera))
+            first += family.size * family.count
+        return cls(
+            order=order,
+            camera=camera,
+            point=place,
+            place_of_point=place_of_point,
+            num_cameras=num_cameras,
+            num_places=num_tiles * TILE,
+            families=tuple(families),
+            num_extra=num_extra,
+            columns=torch.cat(columns, dim=1),
+            chunks=tuple(_chunks(camera, place, num_cameras, num_tiles)),
+        )
+
+    @property
+    def num_shared(self) -> int:
+        """How many unknowns the families have."""
+        return sum(family.size * family.count for family in self.families)
+
+    @property
+    def size(self) -> int:
+        """How many reduced unknowns there are."""
+        return CAMERA_SIZE * self.num_cameras + self.num_shared + self.num_extra
+
+    @cached_property
+    def gram_rows(self) -> tuple[Tensor, Tensor]:
+        """The observations of each camera in rows of at most GRAM_ROWS (k, GRAM_ROWS), filled up with N, and whose each
+        row is (k)."""
+        by_camera = torch.argsort(self.camera, stable=True)
+        count = torch.bincount(self.camera, minlength=self.num_cameras)
+        first = torch.cumsum(count, dim=0) - count
+        rows_of = (count + GRAM_ROWS - 1) // GRAM_ROWS
+        owner = torch.repeat_interleave(torch.arange(self.num_cameras, device=count.device), rows_of)
+        row_in_camera = torch.arange(len(owner), device=count.device) - (torch.cumsum(rows_of, 0) - rows_of)[owner]
+        within = row_in_camera[:, None] * GRAM_ROWS + _range(GRAM_ROWS, owner)
+        table = by_camera[(first[owner][:, None] + within).clamp(max=len(by_camera) - 1)]
+        return torch.where(within < count[owner][:, None], table, len(by_camera)), owner
+
+
+def _range(count: int, like: Tensor) -> Tensor:
+    return torch.arange(count, device=like.device)
+
+
+def _places(
+    camera: Tensor, point: Tensor, num_cameras: int, num_points: int, locality: Tensor | None
+) -> tuple[Tensor, int]:
+    """A place for every point (n): tiles of neighbours, tiles with as many cameras side by side. And how many tiles."""
+    if locality is None:
+        count = torch.bincount(point, minlength=num_points).clamp(min=1)
+        locality = torch.bincount(point, weights=camera.double(), minlength=num_points) / count
+    rank = torch.empty_like(point.new_zeros(num_points))
+    rank[torch.argsort(locality, stable=True)] = torch.arange(num_points, device=point.device)
+    num_tiles = -(-num_points // TILE)
+    tile = rank // TILE
+    seen = torch.unique(tile[point] * num_cameras + camera)
+    width = torch.bincount(seen // num_cameras, minlength=num_tiles)
+    new_tile = torch.empty_like(width)
+    new_tile[torch.argsort(width, stable=True)] = torch.arange(num_tiles, device=point.device)
+    return new_tile[tile] * TILE + rank % TILE, num_tiles
+
+
+def _chunks(camera: Tensor, place: Tensor, num_cameras: int, num_tiles: int) -> list[Chunk]:
+    tile = place // TILE
+    seen, local = torch.unique(tile * num_cameras + camera, return_inverse=True)
+    width = torch.bincount(seen // num_cameras, minlength=num_tiles)
+    first_seen = torch.cumsum(width, dim=0) - width
+    local = local - first_seen[tile]
+    first_observation = torch.searchsorted(tile, torch.arange(num_tiles + 1, device=tile.device)).tolist()
+    chunks = []
+    for start, end, widest in _runs(width.tolist()):
+        observations = slice(first_observation[start], first_observation[end])
+        slots = _range(widest, tile)
+        index = (first_seen[start:end, None] + slots).clamp(max=max(len(seen) - 1, 0))
+        cameras = torch.where(slots < width[start:end, None], seen[index] % num_cameras, num_cameras)
+        row = (place[observations] - start * TILE) * POINT_SIZE
+        chunks.append(Chunk(slice(start, end), observations, cameras, row * widest + local[observations]))
+    return chunks
+
+
+def _runs(widths: Sequence[int]) -> list[tuple[int, int, int]]:
+    """Runs (first, end, greatest width) of tiles, whose widths ascend, that fit a chunk and are about as wide."""
+    runs: list[tuple[int, int, int]] = []
+    start = next((i for i, width in enumerate(widths) if width), len(widths))
+    while start < len(widths):
+        end = start + 1
+        while (
+            end < len(widths)
+            and widths[end] <= widths[start] * CHUNK_GROWTH + 1
+            and (end + 1 - start) * widths[end] * TILE * POINT_SIZE * CAMERA_SIZE <= CHUNK_ELEMENTS
+        ):
+            end += 1
+        runs.append((start, end, widths[end - 1]))
+        start = end
+    return runs
