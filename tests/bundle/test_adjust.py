@@ -10,14 +10,12 @@ import torch
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from torchrefrac.bundle import BundleOptions, BundleState, GravityPrior, adjust
+from torchrefrac.bundle import BundleState, GravityPrior, Observations, adjust
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.geometry import align_above_plane, align_similarity
 from torchrefrac.optim import LevenbergMarquardtOptions, Step, minimize
 from torchrefrac.refraction import FlatInterface
 
-SOLVER = LevenbergMarquardtOptions(max_iterations=100, function_tolerance=1e-12)
-SQUARED = BundleOptions(loss_scale=1e9, solver=SOLVER)
 in_water_and_air = pytest.mark.parametrize("index_ratio", [1.333, 1.0], ids=["water", "air"])
 
 
@@ -26,7 +24,7 @@ in_water_and_air = pytest.mark.parametrize("index_ratio", [1.333, 1.0], ids=["wa
 def test_without_noise_the_scene_is_recovered(plant, disturb, index_ratio, land):
     planted = plant(points=40, land=land, index_ratio=index_ratio)
 
-    report = adjust(disturb(planted.truth), **planted.observations, options=SQUARED)
+    report = planted.adjusted(disturb(planted.truth))
 
     assert report.costs[-1] < 1e-10
     _assert_same_scene(report.state, planted.truth, 1e-5, above_plane=index_ratio > 1.0)
@@ -34,14 +32,10 @@ def test_without_noise_the_scene_is_recovered(plant, disturb, index_ratio, land)
 
 def test_hubers_loss_recovers_the_scene_in_spite_of_a_few_wrong_observations(plant, disturb, draw):
     planted = plant(points=60)
-    wrong = torch.arange(len(planted.pixels)) % 20 == 0
-    pixels = torch.where(wrong[:, None], planted.pixels + draw.uniform(-30.0, 30.0, len(wrong), 2), planted.pixels)
+    wrong = planted.with_wrong_observations(draw)
     start = disturb(planted.truth, size=0.3)
 
-    robust, squared = (
-        adjust(start, **{**planted.observations, "pixels": pixels}, options=replace(SQUARED, loss_scale=scale))
-        for scale in (0.01, 1e9)
-    )
+    robust, squared = (wrong.adjusted(start, loss=loss, loss_scale=0.01) for loss in ("huber", "squared"))
 
     assert _center_error(robust.state, planted.truth) < 0.1
     assert _center_error(robust.state, planted.truth) < 0.1 * _center_error(squared.state, planted.truth)
@@ -49,24 +43,24 @@ def test_hubers_loss_recovers_the_scene_in_spite_of_a_few_wrong_observations(pla
 
 def test_the_radial_terms_of_the_lens_are_recovered_where_they_are_free(plant, disturb):
     planted = plant(points=60, distortion=(-0.12, 0.05, 0.001, 0.002, 0.0))
-    known = planted.truth.intrinsics.distortion * torch.tensor([0.0, 0.0, 1.0, 1.0, 1.0], dtype=torch.float64)
+    known = planted.truth.lens.distortion * torch.tensor([0.0, 0.0, 1.0, 1.0, 1.0], dtype=torch.float64)
     start = disturb(planted.truth, size=0.3)
-    start = replace(start, intrinsics=replace(start.intrinsics, distortion=known))
+    start = replace(start, lens=replace(start.lens, distortion=known))
 
-    report = adjust(start, **planted.observations, options=replace(SQUARED, refine_radial=True))
+    report = planted.adjusted(start, refine=("radial",))
 
-    torch.testing.assert_close(
-        report.state.intrinsics.distortion, planted.truth.intrinsics.distortion, rtol=0.0, atol=1e-6
-    )
+    torch.testing.assert_close(report.state.lens.distortion, planted.truth.lens.distortion, rtol=0.0, atol=1e-6)
     _assert_same_scene(report.state, planted.truth, 1e-3)
 
 
-def test_a_lens_that_is_fixed_stays_as_it_is_to_the_last_bit(plant, disturb):
+def test_a_lens_and_a_water_that_are_fixed_stay_as_they_are_to_the_last_bit(plant, disturb):
     planted = plant(noise=0.5, distortion=(-0.12, 0.05, 0.0, 0.0, 0.0))
 
-    report = adjust(disturb(planted.truth), **planted.observations, options=SQUARED)
+    report = planted.adjusted(disturb(planted.truth))
 
-    assert report.state.intrinsics is planted.truth.intrinsics
+    assert report.state.lens is planted.truth.lens
+    assert report.state.index_ratio is planted.truth.index_ratio
+    assert all(value is kept for value, kept in zip(report.state.planes, planted.truth.planes, strict=True))
 
 
 @in_water_and_air
@@ -74,26 +68,27 @@ def test_with_noise_the_cost_is_that_which_scipy_reaches(plant, disturb, index_r
     planted = plant(cameras=3, points=12, noise=0.5, index_ratio=index_ratio)
     start = disturb(planted.truth, size=0.3)
 
-    report = adjust(start, **planted.observations, options=SQUARED)
+    report = planted.adjusted(start)
 
     def residual(x):
         turn, center, points = np.split(x, [9, 18])
         rotation = Rotation.from_rotvec(turn.reshape(3, 3)).as_matrix() @ start.rotation.numpy()
         camera = RefractiveCamera(
-            start.intrinsics,
+            start.lens,
             torch.from_numpy(rotation),
             torch.from_numpy(center.reshape(3, 3)),
             FlatInterface(index_ratio),
         )
-        projected, _ = camera[planted.camera].project(torch.from_numpy(points.reshape(-1, 3))[planted.point])
-        return (projected - planted.pixels).flatten().numpy()
+        seen = planted.observations
+        projected, _ = camera[seen.camera].project(torch.from_numpy(points.reshape(-1, 3))[seen.point])
+        return (projected - seen.pixels).flatten().numpy()
 
     x0 = np.concatenate((np.zeros(9), start.center.flatten().numpy(), start.points.flatten().numpy()))
     oracle = least_squares(residual, x0, method="trf", x_scale="jac", ftol=1e-14, xtol=1e-14, gtol=1e-14)
     assert report.costs[-1] == pytest.approx(oracle.cost, rel=1e-7)
 
 
-def test_the_scene_of_another_program_reaches_the_cost_that_scipy_reaches_with_its_model(shared_data):
+def test_the_scene_of_another_program_reaches_the_cost_that_scipy_reaches_with_its_model(shared_data, squared):
     path = shared_data("../peers/ceres_ba") / "make_scene.py"
     spec = importlib.util.spec_from_file_location("make_scene", path)
     make_scene = importlib.util.module_from_spec(spec)
@@ -106,15 +101,10 @@ def test_the_scene_of_another_program_reaches_the_cost_that_scipy_reaches_with_i
         torch.from_numpy(scene["C0"]),
         torch.from_numpy(scene["X0"]),
         Intrinsics.create(3000, 3000, scene["f"], (0.0, 0.0)),
+        torch.tensor(scene["delta"], dtype=torch.float64),
     )
-    report = adjust(
-        start,
-        camera=torch.from_numpy(camera),
-        point=torch.from_numpy(point),
-        pixels=torch.from_numpy(scene["uv"]),
-        index_ratio=torch.tensor(scene["delta"], dtype=torch.float64),
-        options=SQUARED,
-    )
+    seen = Observations(torch.from_numpy(camera), torch.from_numpy(point), torch.from_numpy(scene["uv"]))
+    report = adjust(start, seen, squared)
 
     def residual(x):
         turn, center, points = (part.reshape(-1, 3) for part in np.split(x, [36, 72]))
@@ -132,7 +122,7 @@ def test_the_result_is_never_worse_than_the_start_and_the_start_stays_as_it_is(p
         value.clone() for value in (planted.truth.rotation, planted.truth.center, planted.truth.points)
     )
 
-    report = adjust(planted.truth, **planted.observations, options=SQUARED)
+    report = planted.adjusted(planted.truth)
 
     assert report.costs == sorted(report.costs, reverse=True)
     assert torch.equal(planted.truth.rotation, rotation)
@@ -143,7 +133,7 @@ def test_the_result_is_never_worse_than_the_start_and_the_start_stays_as_it_is(p
 def test_rotations_stay_rotations(plant, disturb):
     planted = plant(noise=0.5)
 
-    rotation = adjust(disturb(planted.truth), **planted.observations, options=SQUARED).state.rotation
+    rotation = planted.adjusted(disturb(planted.truth)).state.rotation
 
     identity = torch.eye(3, dtype=torch.float64).expand_as(rotation)
     torch.testing.assert_close(rotation @ rotation.mT, identity, rtol=0.0, atol=1e-12)
@@ -154,8 +144,7 @@ def test_a_precise_gravity_prior_holds_the_cameras_upright(plant, disturb):
     start = disturb(planted.truth)
 
     free, held = (
-        adjust(start, **planted.observations, options=SQUARED, gravity=gravity)
-        for gravity in (None, GravityPrior(planted.down_in_cam, 1e-8))
+        planted.adjusted(start, terms=terms) for terms in ([], [GravityPrior(planted.down_in_cam, 1e-8)])
     )
 
     assert _tilt(free.state, planted) > 1e-4
@@ -167,8 +156,7 @@ def test_a_vague_gravity_prior_changes_nothing(plant, disturb, draw):
     start = disturb(planted.truth, size=0.3)
     wrong = torch.nn.functional.normalize(planted.down_in_cam + 0.1 * draw.normal(4, 3), dim=-1)
 
-    free = adjust(start, **planted.observations, options=SQUARED)
-    vague = adjust(start, **planted.observations, options=SQUARED, gravity=GravityPrior(wrong, 1e4))
+    free, vague = (planted.adjusted(start, terms=terms) for terms in ([], [GravityPrior(wrong, 1e4)]))
 
     assert vague.costs[-1] == pytest.approx(free.costs[-1], rel=1e-6)
 
@@ -179,7 +167,7 @@ def test_steps_need_no_damping_to_hold_the_scene_in_place(plant, disturb, index_
     start = disturb(planted.truth, size=0.1)
     undamped = LevenbergMarquardtOptions(max_iterations=6, initial_damping=1e-30)
 
-    report = adjust(start, **planted.observations, options=replace(SQUARED, solver=undamped))
+    report = planted.adjusted(start, solver=undamped)
 
     assert report.status == "converged"
     assert len(report.costs) == report.iterations + 1
@@ -188,19 +176,17 @@ def test_steps_need_no_damping_to_hold_the_scene_in_place(plant, disturb, index_
 def test_the_callback_hears_of_the_costs(plant, disturb):
     planted, heard = plant(noise=0.5), []
 
-    report = adjust(
-        disturb(planted.truth), **planted.observations, options=SQUARED, callback=lambda _, cost: heard.append(cost)
-    )
+    report = planted.adjusted(disturb(planted.truth), callback=lambda _, cost: heard.append(cost))
 
     assert heard == report.costs[1:]
 
 
 def test_a_point_that_one_camera_alone_sees_does_no_harm(plant, disturb):
     planted = plant(points=40)
-    keep = (planted.point > 0) | (torch.arange(len(planted.point)) == 0)
-    alone = replace(planted, camera=planted.camera[keep], point=planted.point[keep], pixels=planted.pixels[keep])
+    seen = planted.observations
+    alone = planted.without((seen.point == 0) & (torch.arange(len(seen)) > 0))
 
-    report = adjust(disturb(planted.truth), **alone.observations, options=SQUARED)
+    report = alone.adjusted(disturb(planted.truth), check=False)
 
     assert report.costs[-1] < 1e-10
     rest = torch.arange(40) > 0
@@ -213,7 +199,7 @@ def test_a_start_with_a_point_behind_its_cameras_is_adjusted_all_the_same(plant,
     start = disturb(planted.truth, size=0.3)
     start.points[0] = start.points.new_tensor((0.0, 0.0, 500.0))
 
-    report = adjust(start, **planted.observations, options=SQUARED)
+    report = planted.adjusted(start)
 
     assert report.costs[-1] < report.costs[0]
     assert report.state.points.isfinite().all()
@@ -226,30 +212,58 @@ def test_a_step_that_takes_a_point_behind_its_cameras_is_not_accepted(plant, dis
     planted = plant()
     start = disturb(planted.truth)
 
-    report = minimize(_Overshooting(planted.problem()), start, SOLVER)
+    report = minimize(_Overshooting(planted.problem()), start, LevenbergMarquardtOptions(max_iterations=20))
 
     assert report.state is start
 
 
-def test_points_in_disorder_are_refused(plant):
-    planted = plant()
-    rows = {name: value.flip(0) for name, value in planted.observations.items() if name != "index_ratio"}
+def test_observations_may_come_in_any_order(plant, disturb, generator):
+    planted = plant(noise=0.5)
+    order = torch.randperm(len(planted.observations), generator=generator)
+    start = disturb(planted.truth)
 
-    with pytest.raises(ValueError, match="point must be sorted"):
-        adjust(planted.truth, **rows, index_ratio=planted.index_ratio, options=SQUARED)
+    sorted_, shuffled = (
+        case.adjusted(start).state for case in (planted, replace(planted, observations=planted.observations[order]))
+    )
+
+    assert torch.equal(sorted_.points, shuffled.points)
+    assert torch.equal(sorted_.center, shuffled.center)
+
+
+def test_a_start_that_costs_infinitely_much_is_returned_with_a_status(plant):
+    planted = plant()
+    start = replace(planted.truth, index_ratio=torch.tensor(0.9, dtype=torch.float64))
+
+    report = planted.adjusted(start)
+
+    assert report.status == "not_finite"
+    assert report.state is start
+
+
+@pytest.mark.parametrize("refine", [(), ("focal", "plane_height")], ids=["poses and points", "lens and water"])
+def test_the_iterative_solver_comes_to_the_same_minimum_as_the_dense_one(plant, disturb, refine):
+    planted = plant(noise=0.5, lenses=2)
+    start = disturb(planted.truth, size=0.2)
+
+    dense, iterative = (
+        planted.adjusted(start, refine=refine, reduced_solver=solver, terms=[planted.gravity])
+        for solver in ("dense", "iterative")
+    )
+
+    assert iterative.costs[-1] == pytest.approx(dense.costs[-1], rel=1e-8)
 
 
 class _Overshooting:
     """A problem whose linear model always promises much of lifting the first point behind its cameras."""
 
     def __init__(self, problem):
-        self.cost, self.retract = problem.cost, problem.retract
+        self.problem, self.retract = problem, problem.retract
 
     def linearize(self, state):
         point = torch.zeros_like(state.points)
         point[0, 2] = 500.0
         step = Step(state.center.new_zeros(6 * len(state.center)), point, torch.tensor(1e9), torch.tensor(True))
-        return SimpleNamespace(solve=lambda damping: step)
+        return SimpleNamespace(cost=self.problem.linearize(state).cost, solve=lambda damping: step)
 
 
 def _assert_same_scene(state, truth, tolerance, above_plane=True):

@@ -2,6 +2,7 @@
 
 from torchrefrac.bundle.adjust import BundleReport, adjust, adjust_pose
 from torchrefrac.bundle.inputs import UnadjustableError, check_inputs
+from torchrefrac.bundle.observability import Determination, determinations
 from torchrefrac.bundle.options import BundleOptions
 from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.bundle.state import BundleState, Links, Observations
@@ -15,6 +16,7 @@ from torchrefrac.bundle.terms import (
     Term,
     Waterline,
 )
+from torchrefrac.bundle.uncertainty import Uncertainty, estimate_pixel_sigma, uncertainty
 
 __all__ = [
     "BundleOptions",
@@ -22,6 +24,7 @@ __all__ = [
     "BundleReport",
     "BundleState",
     "CenterPrior",
+    "Determination",
     "Expectations",
     "GravityPrior",
     "HeightPrior",
@@ -31,8 +34,12 @@ __all__ = [
     "ScaleBars",
     "Term",
     "UnadjustableError",
+    "Uncertainty",
     "Waterline",
     "adjust",
     "adjust_pose",
     "check_inputs",
+    "determinations",
+    "estimate_pixel_sigma",
+    "uncertainty",
 ]

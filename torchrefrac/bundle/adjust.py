@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchrefrac.bundle.inputs import check_inputs
 from torchrefrac.bundle.layout import Layout
+from torchrefrac.bundle.observability import unseen
 from torchrefrac.bundle.options import BundleOptions
 from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.bundle.state import BundleState, Links, Observations
@@ -50,7 +51,8 @@ def adjust(
     (shifts along the water, heading, scale about it; at index ratio 1 all similarities).
 
     Unknowns in `options.refine` that the data do not determine are held unless `options.refine_unseen`, and the report
-    says so. check: raise ValueError for what cannot be adjusted: see `check_inputs`. Any failure after that is a status.
+    says so. check: raise UnadjustableError for what cannot be adjusted, see `check_inputs`; any failure after that is
+    a status.
     """
     options = options or BundleOptions()
     links = links or Links.single(state)
@@ -59,8 +61,12 @@ def adjust(
     kept = concerned_points(terms, len(state.points), state.points)
     layout = Layout.create(state, links, options.refine, held, kept=kept)
     problem = BundleProblem.create(state, layout, observations, options, terms)
+    refused = {} if options.refine_unseen else unseen(problem, state, options.pixel_sigma)
+    if refused:
+        layout = Layout.create(state, links, tuple(u for u in options.refine if u not in refused), held, kept=kept)
+        problem = BundleProblem.create(state, layout, observations, options, terms)
     report = minimize(problem, state, options.solver, callback)
-    return BundleReport(report.state, report.status, report.iterations, report.costs, problem)
+    return BundleReport(report.state, report.status, report.iterations, report.costs, problem, refused)
 
 
 def adjust_pose(

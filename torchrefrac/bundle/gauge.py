@@ -50,13 +50,13 @@ def similarity_motions(state: BundleState, layout: Layout) -> tuple[Tensor, Tens
 def gauge_directions(state: BundleState, layout: Layout, residuals: Sequence[Residuals] = ()) -> Tensor | None:
     """Orthonormal basis (size, k) of the gauge; None where there is none.
 
-    Through a water plane that is held k = 4: shifts along it, heading, and scale about it. Without refraction k = 7. What is held and what is
-    measured (`residuals`) take away those motions that they notice.
+    Through a water plane that is held k = 4: shifts along it, heading, and scale about it. Without refraction k = 7.
+    What is held and what is measured (`residuals`) take away those motions that they notice.
     """
     motions, held = similarity_motions(state, layout)
     padded = torch.nn.functional.pad(motions, (0, 0, 0, 1))
     noticed = [held]
-    for value, jacobian, columns in residuals:
+    for _, jacobian, columns in residuals:
         size = jacobian.norm(dim=-1, keepdim=True)
         noticed.append((jacobian / torch.where(size > 0, size, 1.0) @ padded[columns]).reshape(-1, 7))
     notices = torch.cat(noticed)

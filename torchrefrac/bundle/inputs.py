@@ -29,7 +29,7 @@ def check_inputs(
     their water plane, points that fewer than two images see, images without any, and images that no chain of common
     points connects to the rest (unless their poses are held). names (m): of the images, for the messages.
     """
-    names = names or [f"camera {i}" for i in range(len(state.center))]
+    told = tuple(f"camera {i}" for i in range(len(state.center))) if names is None else tuple(names)
     for name in ("rotation", "center", "points", "index_ratio"):
         require(getattr(state, name), name)
     m, n = len(state.center), len(state.points)
@@ -39,13 +39,13 @@ def check_inputs(
             raise UnadjustableError(f"observations.{name} has ids outside 0 to {count - 1}")
     broken = (~observations.pixels.isfinite()).any(dim=-1).nonzero()[:, 0]
     if len(broken):
-        where = _listed([f"{i} ({names[int(camera[i])]})" for i in broken[:SHOWN].tolist()], len(broken))
+        where = _listed([f"{i} ({told[int(camera[i])]})" for i in broken[:SHOWN].tolist()], len(broken))
         raise UnadjustableError(f"pixels are not finite in observation {where}; leave such observations out")
     normal, offset = state.planes
     height = (normal[links.plane] * state.center).sum(dim=-1) - offset[links.plane]
     below = (height <= 0.0).nonzero()[:, 0] if float(state.index_ratio) > 1.0 else height[:0].long()
     if len(below):
-        where = _listed([names[i] for i in below[:SHOWN].tolist()], len(below))
+        where = _listed([told[i] for i in below[:SHOWN].tolist()], len(below))
         raise UnadjustableError(
             f"not above the water plane: {where}; give the plane in the frame of the cameras, its normal towards them"
         )
@@ -54,7 +54,7 @@ def check_inputs(
     if len(lonely):
         where = _listed([str(i) for i in lonely[:SHOWN].tolist()], len(lonely))
         raise UnadjustableError(f"seen by fewer than two images: point {where}; leave such points out")
-    _check_connected(camera, point, m, n, held, names)
+    _check_connected(camera, point, m, n, held, told)
 
 
 def _check_connected(camera: Tensor, point: Tensor, m: int, n: int, held: Tensor | None, names: Sequence[str]) -> None:
@@ -67,7 +67,7 @@ def _check_connected(camera: Tensor, point: Tensor, m: int, n: int, held: Tensor
     fixed = np.zeros(m, dtype=bool) if held is None else held.all(dim=-1).cpu().numpy()
     apart = [part for part in sizes[1:] if len(part) and not fixed[part].all()]
     if apart:
-        told = "; ".join(_listed([names[i] for i in part[:SHOWN]], len(part)) for part in apart[:SHOWN])
+        told = "; ".join(_listed([names[int(i)] for i in part[:SHOWN]], len(part)) for part in apart[:SHOWN])
         raise UnadjustableError(
             f"no common points connect the images: {len(apart) + 1} parts, apart from the largest: {told}; adjust the "
             "parts one by one"

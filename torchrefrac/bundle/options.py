@@ -11,7 +11,8 @@ Unknown = Literal["focal", "principal_point", "radial", "distortion", "index_rat
 
 @dataclass(frozen=True)
 class BundleOptions:
-    """loss of loss_scale pixels. pixel_sigma: expected noise of a keypoint, pixels; weighs it against other measurements.
+    """loss of loss_scale pixels. pixel_sigma: expected noise of a keypoint, pixels; weighs it against what else was
+    measured.
 
     refine: what varies besides poses and points: of the lens focal (both focal lengths by the same factor),
     principal_point, radial (k1 and k2), distortion (all five); of the water index_ratio, plane_tilt, plane_height.

@@ -1,7 +1,7 @@
 """The bundle adjustment cost (paper, Eq. 20): reprojection errors through the water, and whatever else was measured."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -92,6 +92,31 @@ class BundleProblem:
         gauge = None if layout.hold_points else gauge_directions(state, layout, residuals)
         system = linearize(self.plan, rows, cost, blocks, gauge)
         return Linearized(system, options.reduced_solver, options.iterative, coarse=None)
+
+    def with_layout(self, layout: Layout, options: BundleOptions, terms: Sequence[Term]) -> "BundleProblem":
+        """The same observations with something else varying of lens and water."""
+        plan = self.plan.with_families(layout.families)
+        return replace(self, plan=plan, layout=layout, options=options, terms=tuple(terms))
+
+    def squared_errors(self, state: BundleState) -> Tensor:
+        """Squared reprojection errors (N) of the possible observations, square pixels."""
+        every = [
+            observation_rows(replace(self.rows_of, loss="squared"), state, self.layout.links, seen)[0][:, -1]
+            for seen in (self.seen, self.kept_seen)
+        ]
+        square = torch.cat(every, dim=-1).square().sum(dim=0)
+        return square[square > 0.0]
+
+    @property
+    def unknowns_per_residual(self) -> float:
+        """Free unknowns over numbers measured."""
+        layout = self.layout
+        unknowns = layout.size - 6 * layout.num_cameras if layout.held is not None else layout.size
+        if layout.held is not None:
+            unknowns += int((~layout.held).sum())
+        if not layout.hold_points:
+            unknowns += 3 * (layout.num_points - layout.num_kept)
+        return unknowns / max(2 * (len(self.seen) + len(self.kept_seen)), 1)
 
     def retract(self, state: BundleState, step: Step) -> BundleState:
         return self.layout.retract(state, step)

@@ -36,7 +36,8 @@ class BundleState:
     @property
     def planes(self) -> tuple[Tensor, Tensor]:
         """normal and offset."""
-        assert self.normal is not None and self.offset is not None
+        assert self.normal is not None
+        assert self.offset is not None
         return self.normal, self.offset
 
     def interface(self) -> FlatInterface:
@@ -96,5 +97,5 @@ class Observations:
     def __len__(self) -> int:
         return len(self.camera)
 
-    def __getitem__(self, rows: Tensor) -> "Observations":
+    def __getitem__(self, rows: Tensor | slice) -> "Observations":
         return Observations(self.camera[rows], self.point[rows], self.pixels[rows])

@@ -69,7 +69,7 @@ def project_with_jacobians(
     dims = (1, 0, *(2 for _ in BLOCKS))
     results = in_blocks(precise(block, interface), [*tangents, *tensors], [1, 1, *event_dims], dims)
     pixels, valid, *blocks = results
-    by = dict(zip(BLOCKS, blocks, strict=True))
+    by: dict[str, Tensor] = dict(zip(BLOCKS, blocks, strict=True))
     by["plane_height"] = by["plane_height"][..., 0]
     by["principal_point"] = torch.eye(2, dtype=pixels.dtype, device=pixels.device).expand((*valid.shape, 2, 2))
     return pixels, ProjectionJacobians(**by), valid
@@ -87,8 +87,8 @@ def projection_parts(
     """`project_with_jacobians` of N observations for those who lay out the numbers themselves.
 
     Returns the pixel's coordinates u and v (N each), validity (N), and by name the derivatives of u and those of v, as
-    many tensors (N) as the block is wide, of the `wanted` blocks (field names of `ProjectionJacobians`) if of no others.
-    Stacks are solved in the dtype given. The N are worked through at once: hand over as many as fit the processor's cache.
+    many tensors (N) as the block is wide, of the `wanted` blocks (fields of `ProjectionJacobians`) if of no others.
+    Stacks are solved in the dtype given. The N are worked through at once: hand over as many as fit the cache.
 
     frozen_ratio: the refrax ratio lambda counts as a constant, as in the paper (section 3.5): the refrax
     moves with camera and point, but the bend does not. A point's depth has no derivative then. An approximation.

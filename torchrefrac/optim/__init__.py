@@ -1,6 +1,7 @@
 """Non-linear least squares for problems of two kinds of blocks; knows no cameras and no scenes."""
 
 from torchrefrac.optim.batched import Quadratic, SmallProblems, SmallReport, covariance_of, minimize_each, solve_damped
+from torchrefrac.optim.covariance import Covariance, SingularError
 from torchrefrac.optim.dense import solve_dense
 from torchrefrac.optim.elimination import Elimination
 from torchrefrac.optim.iterative import IterativeOptions, solve_iteratively
@@ -20,6 +21,7 @@ from torchrefrac.optim.solve import Linearized, ReducedSolver
 
 __all__ = [
     "Blocks",
+    "Covariance",
     "Elimination",
     "Family",
     "IterativeOptions",
@@ -33,6 +35,7 @@ __all__ = [
     "Quadratic",
     "ReducedSolver",
     "SchurPlan",
+    "SingularError",
     "SmallProblems",
     "SmallReport",
     "Status",

@@ -14,27 +14,25 @@ def solve_dense(elimination: Elimination) -> tuple[Tensor, Tensor]:
     system = elimination.system
     matrix, negative = elimination.reduced()
     matrix.diagonal().add_(elimination.damping * system.diagonal)
-    scale = prepare(matrix, system.null_space)
+    scale, _ = prepare(matrix, system.null_space)
     factor, info = torch.linalg.cholesky_ex(matrix)
     solution = -torch.cholesky_solve((negative * scale)[:, None], factor)[:, 0] * scale
     solved = (info == 0) & solution.isfinite().all()
     return torch.where(solved, solution, 0.0), solved
 
 
-def prepare(matrix: Tensor, null_space: Tensor | None) -> Tensor:
-    """Make a reduced matrix one that has a Cholesky factor, in place: S A S with a unit diagonal. Returns S (size).
+def prepare(matrix: Tensor, null_space: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Make a reduced matrix one that has a Cholesky factor, in place: S A S with a unit diagonal.
 
-    Unknowns that nothing depends on get the diagonal 1; directions of the null space get the mean of the diagonal.
+    Unknowns that nothing depends on get the diagonal 1; directions of the null space are made as stiff as the unknowns
+    are that they move. Returns S (size) and that stiffness.
     """
     diagonal = matrix.diagonal()
     diagonal.copy_(torch.where(diagonal == 0.0, 1.0, diagonal))
+    stiffness = diagonal.new_ones(())
     if null_space is not None:
-        matrix.addmm_(null_space * null_space_weight(matrix), null_space.T)
+        stiffness = (null_space.square().T @ diagonal).mean()
+        matrix.addmm_(null_space * stiffness, null_space.T)
     scale = diagonal.clamp(min=torch.finfo(matrix.dtype).tiny).rsqrt()
     matrix.mul_(scale[:, None]).mul_(scale)
-    return scale
-
-
-def null_space_weight(matrix: Tensor) -> Tensor:
-    """How stiff the null space is made: a scalar."""
-    return matrix.diagonal().mean()
+    return scale, stiffness

@@ -67,8 +67,8 @@ class Elimination:
             )
 
     def reduced(self) -> tuple[Tensor, Tensor]:
-        """The reduced system, undamped in what is kept: the lower triangle of a matrix (size, size), and -rhs (size)."""
-        plan, m, g = self.system.plan, self.system.plan.num_cameras, self.system.plan.num_shared
+        """The reduced system, undamped in what is kept: a matrix (size, size), its lower triangle, and -rhs (size)."""
+        m, g = self.system.plan.num_cameras, self.system.plan.num_shared
         by_pair = self.factor.new_zeros((m + 1) * (m + 1), BLOCK)
         mixed = self.factor.new_zeros(m + 1, CAMERA_SIZE * (g + 1))
         shared = self.factor.new_zeros(g + 1, g + 1)

@@ -2,8 +2,8 @@
 
 A candidate is linearised as it is judged: its cost costs little less than that, and most steps are accepted. One that
 is not leaves the linearisation before it as it was, to be solved again with more damping. The damping follows Nielsen's
-rule (Madsen, Nielsen, Tingleff, "Methods for non-linear least squares problems", 2004, Eq. 2.21): continuous in the gain
-ratio when a step is accepted, doubling increases when it is not.
+rule (Madsen, Nielsen, Tingleff, "Methods for non-linear least squares problems", 2004, Eq. 2.21): continuous in the
+gain ratio when a step is accepted, doubling increases when it is not.
 """
 
 import math

@@ -6,7 +6,7 @@ that see it. Tiles with as many cameras lie side by side, so that they can be mu
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -87,11 +87,6 @@ class SchurPlan:
         place = place_of_point[point]
         order = torch.argsort(place * num_cameras + camera)
         camera, place = camera[order], place[order]
-        columns = [CAMERA_SIZE * torch.arange(num_cameras, device=camera.device)[:, None] + _range(CAMERA_SIZE, camera)]
-        first = CAMERA_SIZE * num_cameras
-        for family in families:
-            columns.append(first + family.size * family.of_camera[:, None] + _range(family.size, camera))
-            first += family.size * family.count
         return cls(
             order=order,
             camera=camera,
@@ -101,9 +96,14 @@ class SchurPlan:
             num_places=num_tiles * TILE,
             families=tuple(families),
             num_extra=num_extra,
-            columns=torch.cat(columns, dim=1),
+            columns=_columns(num_cameras, families, camera),
             chunks=tuple(_chunks(camera, place, num_cameras, num_tiles)),
         )
+
+    def with_families(self, families: Sequence[Family]) -> "SchurPlan":
+        """The same observations with other shared unknowns."""
+        columns = _columns(self.num_cameras, families, self.camera)
+        return replace(self, families=tuple(families), columns=columns)
 
     @property
     def num_shared(self) -> int:
@@ -128,6 +128,16 @@ class SchurPlan:
         within = row_in_camera[:, None] * GRAM_ROWS + _range(GRAM_ROWS, owner)
         table = by_camera[(first[owner][:, None] + within).clamp(max=len(by_camera) - 1)]
         return torch.where(within < count[owner][:, None], table, len(by_camera)), owner
+
+
+def _columns(num_cameras: int, families: Sequence[Family], like: Tensor) -> Tensor:
+    """Where the unknowns that each camera depends on are found among the reduced ones (m, w)."""
+    columns = [CAMERA_SIZE * _range(num_cameras, like)[:, None] + _range(CAMERA_SIZE, like)]
+    first = CAMERA_SIZE * num_cameras
+    for family in families:
+        columns.append(first + family.size * family.of_camera[:, None] + _range(family.size, like))
+        first += family.size * family.count
+    return torch.cat(columns, dim=1)
 
 
 def _range(count: int, like: Tensor) -> Tensor:

@@ -1,6 +1,6 @@
 """From normal equations to a step."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from torch import Tensor
@@ -25,7 +25,7 @@ class Linearized:
 
     system: NormalEquations
     solver: ReducedSolver = "auto"
-    iterative: IterativeOptions = IterativeOptions()
+    iterative: IterativeOptions = field(default_factory=IterativeOptions)
     coarse: Tensor | None = None
 
     @property

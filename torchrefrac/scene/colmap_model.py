@@ -69,7 +69,8 @@ def write_colmap(alignment: Alignment, folder: str | Path, binary: bool = False,
     """Write cameras, images and points3D, as text or binary files; ids count from 1 in the order of the alignment.
 
     `errors` (n): the reprojection error of each point in pixels, which the files have a place for; -1 (unknown) by
-    default. A lens becomes a PINHOLE camera where its distortion is zero, OPENCV where k3 is, else FULL_OPENCV. The
+    default. A lens becomes a PINHOLE camera where its distortion is zero, OPENCV where k3 is, else FULL_OPENCV. All
+    numbers survive to the last bit except poses, which the files hold as quaternion and translation: 1e-15 or so. The
     files replace those of an earlier model only once all three are complete. Raises AlignmentError where `folder` holds
     files that whoever reads the model would take for a part of it, and for a name that the files cannot keep.
     """

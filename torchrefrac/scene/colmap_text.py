@@ -111,10 +111,10 @@ def write_images_txt(table: ImageTable, path: Path) -> None:
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(IMAGES_HEAD)
         for i, name in enumerate(table.names):
-            if name != name.strip() or any(end in name for end in "\r\n"):
+            if name.split() != [name]:
                 raise AlignmentError(
-                    f"{name!r} begins or ends with a blank or has a line break, which a text file cannot keep; "
-                    "rename the image, or write binary files"
+                    f"{name!r} has a blank, at which COLMAP would cut the name in a text file; rename the image, or "
+                    "write binary files"
                 )
             pose = (*table.quaternions[i].tolist(), *table.translations[i].tolist())
             file.write(f"{table.ids[i]} {_join(pose)} {table.cameras[i]} {name}\n")

@@ -82,14 +82,24 @@ def load_cameras(path: Path) -> Reconstruction:
     )
 
 
-def write_points(points: Tensor, colors: Tensor, path: Path) -> None:
-    """Write a coloured point cloud (n, 3), (n, 3) uint8 as binary PLY."""
-    import trimesh  # noqa: PLC0415 - slow to import, needed only here
+def write_points(points: Tensor, colors: Tensor, path: Path, sigma: Tensor | None = None) -> None:
+    """Write a coloured point cloud (n, 3), (n, 3) uint8 as binary PLY.
 
-    alpha = np.full((len(colors), 1), 255, dtype=np.uint8)
-    cloud = trimesh.PointCloud(points.numpy(), colors=np.hstack((colors.numpy(), alpha)))
+    sigma (n): standard deviations of the points, written as the property `sigma` of the vertices (float32).
+    """
+    columns = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
+    values = [*points.T, *colors.T]
+    if sigma is not None:
+        columns.append(("sigma", "<f4"))
+        values.append(sigma)
+    vertices = np.empty(len(points), dtype=columns)
+    for (name, _), value in zip(columns, values, strict=True):
+        vertices[name] = value.numpy()
+    kinds = {"<f4": "float", "u1": "uchar"}
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    header += [f"property {kinds[kind]} {name}" for name, kind in columns]
     with replacing(path) as temporary:
-        cloud.export(temporary, file_type="ply")
+        temporary.write_bytes("\n".join([*header, "end_header", ""]).encode("ascii") + vertices.tobytes())
 
 
 def load_points(path: Path) -> tuple[Tensor, Tensor]:

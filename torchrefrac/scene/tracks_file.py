@@ -133,7 +133,7 @@ def _poses(top: Fields, content: dict[str, Any]) -> dict[str, tuple[Tensor, Tens
 def _arrays(path: Path) -> tuple[tuple[str, ...], dict[str, Tensor]]:
     """The content of `tracks.npz`, checked; point ascending."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             found = {name: archive[name] for name in ("names", *ARRAYS) if name in archive}
     except (OSError, ValueError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         raise AlignmentError(f"{path} is not a whole NumPy archive: {error}; reconstruct again") from None

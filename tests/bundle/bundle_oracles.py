@@ -1,0 +1,109 @@
+"""What the tests of the adjustment compare it with: residuals by the camera, derivatives by autograd, dense matrices."""
+
+import torch
+from torch import Tensor
+
+from torchrefrac.bundle import BundleState, Links, Observations
+from torchrefrac.bundle.layout import Layout
+from torchrefrac.optim import Step, robust
+
+
+def errors_of(state: BundleState, links: Links, seen: Observations) -> Tensor:
+    """Projection minus pixel (N, 2)."""
+    return state.cameras(links, seen.camera).project(state.points[seen.point])[0] - seen.pixels
+
+
+def moved(layout: Layout, state: BundleState, step: Tensor) -> BundleState:
+    """`state` after a step in everything (size + 3 free points)."""
+    points = step[layout.size :].reshape(-1, 3)
+    return layout.retract(state, Step(step[: layout.size], points, torch.zeros(()), torch.tensor(True)))
+
+
+def num_unknowns(layout: Layout) -> int:
+    """How long such a step is."""
+    return layout.size + 3 * (layout.num_points - layout.num_kept)
+
+
+def jacobian_of(function, layout: Layout, state: BundleState) -> Tensor:
+    """Of function(state) -> (K): (K, unknowns) by autograd through the retraction; zero in what is held."""
+    at = torch.zeros(num_unknowns(layout), dtype=torch.float64)
+    jacobian = torch.autograd.functional.jacobian(lambda step: function(moved(layout, state, step)), at, vectorize=True)
+    if layout.held is not None:
+        jacobian[:, : 6 * layout.num_cameras] *= ~layout.held.flatten()
+    return jacobian
+
+
+def weighted_residuals(problem, observations: Observations, at: BundleState):
+    """The function state -> residuals (K) whose Gauss-Newton system the problem linearised at `at` must have."""
+    options, layout = problem.options, problem.layout
+    square = errors_of(at, layout.links, observations).square().sum(dim=-1, keepdim=True)
+    root = robust(square, options.loss, options.loss_scale)[1].sqrt()
+
+    def residuals(state: BundleState) -> Tensor:
+        parts = [(root * errors_of(state, layout.links, observations)).flatten()]
+        parts += [options.pixel_sigma * term.residuals(state, layout).value.flatten() for term in problem.terms]
+        return torch.cat(parts)
+
+    return residuals
+
+
+def cost_by_definition(problem, observations: Observations, state: BundleState) -> Tensor:
+    """Half the sum of all losses, and of all squared residuals of the terms in pixels."""
+    options, layout = problem.options, problem.layout
+    square = errors_of(state, layout.links, observations).square().sum(dim=-1)
+    cost = robust(square, options.loss, options.loss_scale)[0].sum()
+    for term in problem.terms:
+        cost = cost + options.pixel_sigma**2 * term.residuals(state, layout).value.square().sum()
+    return 0.5 * cost
+
+
+def dense_jacobian(layout: Layout, observations: Observations, rows: Tensor) -> Tensor:
+    """Rows (2, w + 4, N) of observations of points that are not kept, spread over all unknowns: (2 N, unknowns)."""
+    count = len(observations)
+    images = torch.arange(layout.num_cameras)
+    columns = [6 * images[:, None] + torch.arange(6)]
+    columns += [layout.lens_columns(name, layout.links.lens) for name in layout.lens]
+    columns += [torch.full((len(images), 1), layout.index_column())] * ("index_ratio" in layout.water)
+    by_plane = layout.plane_columns(layout.links.plane)
+    columns.append(by_plane[:, by_plane[0] != layout.size])
+    point = layout.size + 3 * observations.point[:, None] + torch.arange(3)
+    across = torch.cat((torch.cat(columns, dim=1)[observations.camera], point), dim=1)
+    jacobian = torch.zeros(count, 2, num_unknowns(layout), dtype=torch.float64)
+    jacobian.scatter_(2, across[:, None].expand(-1, 2, -1), rows[:, :-1].permute(2, 0, 1))
+    return jacobian.flatten(0, 1)
+
+
+def dense_system(system) -> tuple[Tensor, Tensor]:
+    """The whole matrix [[B, E], [E^T, V]] of normal equations and their gradient; points in the order of their ids."""
+    plan, places = system.plan, system.plan.place_of_point
+    size, count = plan.size, len(places)
+    coupling = torch.zeros(plan.num_places, 3, size, dtype=torch.float64)
+    blocks = torch.einsum("rpk,rwk->kpw", system.rows[:, -4:-1], system.rows[:, :-4])
+    for block, camera, place in zip(blocks, plan.camera.tolist(), plan.point.tolist(), strict=True):
+        coupling[place][:, plan.columns[camera]] += block
+    coupling = coupling[places].flatten(0, 1)
+    points = torch.zeros(count, 3, 3, dtype=torch.float64)
+    i, j = torch.tril_indices(3, 3)
+    points[:, i, j] = points[:, j, i] = system.point_hessian.T[places]
+    upper = torch.cat((system.dense(), coupling.T), dim=1)
+    lower = torch.cat((coupling, torch.block_diag(*points)), dim=1)
+    return torch.cat((upper, lower)), torch.cat((system.gradient, system.point_gradient.T[places].flatten()))
+
+
+def null_space_of(jacobian: Tensor, tolerance: float = 1e-9) -> Tensor:
+    """Orthonormal basis (unknowns, k) of the steps that change nothing; unknowns that nothing depends on stand still."""
+    size = jacobian.norm(dim=0)
+    live = size > 0
+    _, singular, directions = torch.linalg.svd(jacobian[:, live] / size[live], full_matrices=True)
+    nulls = directions[int((singular > tolerance * singular[0]).sum()) :].T / size[live, None]
+    whole = jacobian.new_zeros(len(size), nulls.shape[1])
+    whole[live] = nulls
+    return torch.linalg.qr(whole).Q
+
+
+def projector(basis: Tensor | None, size: int) -> Tensor:
+    """Onto the span of a basis (size, k) of full rank; None spans nothing."""
+    if basis is None:
+        return torch.zeros(size, size, dtype=torch.float64)
+    q = torch.linalg.qr(basis).Q
+    return q @ q.T

@@ -1,0 +1,149 @@
+"""Weighted residuals and their derivatives, row by row."""
+
+import shutil
+from dataclasses import replace
+
+import pytest
+import torch
+from bundle_oracles import dense_jacobian, errors_of, jacobian_of
+from tolerances import assert_matches
+
+from torchrefrac.bundle.rows import IMPOSSIBLE_PX, LENS, WATER, RowModel, observation_rows
+from torchrefrac.optim import robust
+
+LOSSES = ("squared", "huber", "cauchy", "truncated")
+ALL_WATER = tuple(WATER)
+every_loss = pytest.mark.parametrize("loss", LOSSES)
+
+
+@pytest.fixture
+def rows_of():
+    """`rows_of(planted, state, refine, ...)`: rows and cost of all observations; options are those of `RowModel`."""
+
+    def make(planted, state, refine=(), compiled=False, **options):
+        model = RowModel(
+            tuple(name for name in LENS if name in refine), tuple(name for name in WATER if name in refine), **options
+        )
+        return observation_rows(model, state, planted.links, planted.observations, compiled)
+
+    return make
+
+
+@pytest.mark.parametrize("name", [*LENS, *WATER])
+@pytest.mark.parametrize(("lenses", "planes"), [(1, 1), (2, 1), (1, 2), (3, 2)])
+def test_every_unknown_has_the_derivative_of_autograd_through_the_camera(
+    plant, disturb, rows_of, name, lenses, planes
+):
+    planted = plant(points=8, land=1, lenses=lenses, planes=planes, distortion=(-0.1, 0.03, 0.001, -0.002, 0.01))
+
+    _assert_rows_of_autograd(planted, disturb(planted.truth), rows_of, (name,))
+
+
+@pytest.mark.parametrize("lens", [("focal", "principal_point", "radial"), ("focal", "principal_point", "distortion")])
+@pytest.mark.parametrize("index_ratio", [1.333, 1.0], ids=["water", "air"])
+def test_all_unknowns_together_stand_in_their_order(plant, disturb, rows_of, lens, index_ratio):
+    planted = plant(points=8, lenses=2, planes=2, index_ratio=index_ratio)
+
+    _assert_rows_of_autograd(planted, disturb(planted.truth), rows_of, (*lens, *ALL_WATER))
+
+
+def test_the_last_row_is_the_projection_minus_the_pixel(plant, disturb, rows_of):
+    planted = plant(noise=0.5, lenses=2, planes=2)
+    state = disturb(planted.truth)
+
+    rows, _ = rows_of(planted, state, loss="squared")
+
+    assert_matches(rows[:, -1].T, errors_of(state, planted.links, planted.observations), slack=1e3)
+
+
+@every_loss
+def test_a_robust_loss_scales_all_rows_of_an_observation_by_the_root_of_its_weight(plant, disturb, rows_of, loss):
+    planted = plant(noise=1.0)
+    state, refine = disturb(planted.truth, size=0.05), ("focal", *ALL_WATER)
+    plain, _ = rows_of(planted, state, refine, loss="squared")
+
+    rows, cost = rows_of(planted, state, refine, loss=loss, loss_scale=1.5)
+
+    square = errors_of(state, planted.links, planted.observations).square().sum(dim=-1)
+    rho, weight = robust(square, loss, 1.5)
+    assert loss == "squared" or 0 < int((weight < 0.9).sum()) < len(weight)
+    assert_matches(rows, plain * weight.sqrt(), slack=10.0)
+    assert_matches(cost, 0.5 * rho.sum(), slack=10.0)
+
+
+@every_loss
+def test_an_impossible_observation_weighs_nothing_and_costs_as_one_that_is_far_off(plant, rows_of, loss):
+    planted = plant()
+    points = planted.truth.points.clone()
+    points[3] = points.new_tensor((0.0, 0.0, 500.0))
+    state = replace(planted.truth, points=points)
+
+    rows, cost = rows_of(planted, state, ("radial", *ALL_WATER), loss=loss)
+
+    behind = planted.observations.point == 3
+    far = torch.full((int(behind.sum()),), IMPOSSIBLE_PX**2, dtype=torch.float64)
+    assert (rows[..., behind] == 0.0).all()
+    assert rows.isfinite().all()
+    assert (rows[:, :, ~behind].abs().amax(dim=1) > 0.0).all()
+    assert_matches(cost, 0.5 * robust(far, loss, 0.25)[0].sum())
+
+
+def test_a_camera_below_its_water_sees_nothing(plant, rows_of):
+    planted = plant(planes=2)
+    offset = planted.truth.planes[1].clone()
+    offset[1] = 100.0
+
+    rows, cost = rows_of(planted, replace(planted.truth, offset=offset), loss="squared")
+
+    below = planted.links.plane[planted.observations.camera] == 1
+    assert (rows[..., below] == 0.0).all()
+    assert float(cost) == pytest.approx(0.5 * IMPOSSIBLE_PX**2 * int(below.sum()))
+
+
+def test_parts_of_a_lens_that_all_images_share_need_no_copies(plant, disturb, rows_of):
+    planted = plant(lenses=3)
+    lens, state = planted.truth.lens, disturb(planted.truth)
+    shared = replace(lens, distortion=lens.distortion[1], principal_point=lens.principal_point[1])
+    copied = replace(shared, distortion=shared.distortion.expand(3, 5), principal_point=shared.principal_point.expand(3, 2))
+
+    one, two = (rows_of(planted, replace(state, lens=kind), ("focal", "distortion"))[0] for kind in (shared, copied))
+
+    assert torch.equal(one, two)
+
+
+def test_more_observations_than_fit_a_block_are_worked_through_block_by_block(plant, disturb, rows_of, monkeypatch):
+    planted = plant(noise=0.5, lenses=2, planes=2)
+    state = disturb(planted.truth)
+    whole, cost = rows_of(planted, state, ("focal", *ALL_WATER))
+    monkeypatch.setattr("torchrefrac.bundle.rows.BLOCK", 7)
+
+    blocks, sum_of_costs = rows_of(planted, state, ("focal", *ALL_WATER))
+
+    assert_matches(blocks, whole, slack=1e3)
+    assert_matches(sum_of_costs, cost, slack=10.0)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("c++") is None, reason="torch.compile needs a C++ compiler")
+@pytest.mark.filterwarnings("ignore")
+def test_compiled_rows_are_those_of_the_interpreter(plant, disturb, rows_of):
+    planted = plant(noise=0.5, lenses=2, planes=2)
+    state, refine = disturb(planted.truth), ("focal", "radial", *ALL_WATER)
+
+    rows, cost = rows_of(planted, state, refine, compiled=True)
+
+    expected, expected_cost = rows_of(planted, state, refine)
+    size = expected.abs().amax(dim=-1, keepdim=True)
+    assert_matches(rows / size, expected / size, slack=1e3)
+    assert_matches(cost, expected_cost, slack=1e3)
+
+
+def _assert_rows_of_autograd(planted, state, rows_of, refine):
+    layout = planted.layout(refine)
+
+    rows, _ = rows_of(planted, state, refine, loss="squared")
+
+    seen = planted.observations
+    expected = jacobian_of(lambda at: errors_of(at, planted.links, seen).flatten(), layout, state)
+    size = expected.abs().amax(dim=0).clamp(min=1.0)
+    assert_matches(dense_jacobian(layout, seen, rows) / size, expected / size, slack=100.0)

@@ -1,0 +1,154 @@
+"""Linear least-squares problems of cameras, points and shared unknowns, and their full normal equations as an oracle."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchrefrac.optim import Blocks, Elimination, Family, Linearized, NormalEquations, SchurPlan, Step, linearize
+
+
+@dataclass(frozen=True)
+class Term:
+    """K further residuals (K, r) and their derivatives (K, r, w) in the reduced unknowns `columns` (K, w)."""
+
+    columns: Tensor
+    jacobian: Tensor
+    residual: Tensor
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Observations of `point` (N) by `camera` (N) with residual (N, 2), derivatives by_kept (N, 2, w) in what the camera
+    depends on, by_point (N, 2, 3), and weight (N)."""
+
+    camera: Tensor
+    point: Tensor
+    residual: Tensor
+    by_kept: Tensor
+    by_point: Tensor
+    weight: Tensor
+    num_cameras: int
+    num_points: int
+    families: tuple[Family, ...] = ()
+    num_extra: int = 0
+    terms: tuple[Term, ...] = ()
+
+    def where(self, keep: Tensor) -> "Linear":
+        """The observations that `keep` picks: a mask (N), or ids in some order."""
+        names = ("camera", "point", "residual", "by_kept", "by_point", "weight")
+        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+
+    def plan(self, locality: Tensor | None = None) -> SchurPlan:
+        return SchurPlan.create(
+            self.camera, self.point, self.num_cameras, self.num_points, self.families, self.num_extra, locality
+        )
+
+    def system(self, null_space: Tensor | None = None, locality: Tensor | None = None) -> NormalEquations:
+        plan = self.plan(locality)
+        rows = torch.cat((self.by_kept, self.by_point, self.residual[..., None]), dim=-1)
+        rows = (rows * self.weight.sqrt()[:, None, None]).permute(1, 2, 0)[..., plan.order]
+        blocks = [Blocks.of_rows(*(term.columns, term.jacobian, term.residual)) for term in self.terms]
+        return linearize(plan, rows.contiguous(), self.cost, blocks, null_space)
+
+    def step(self, damping: float, null_space: Tensor | None = None) -> Step:
+        return Linearized(self.system(null_space), "dense").solve(damping)
+
+    @property
+    def cost(self) -> Tensor:
+        squares = [self.weight[:, None] * self.residual.square(), *(term.residual.square() for term in self.terms)]
+        return 0.5 * torch.stack([square.sum() for square in squares]).sum()
+
+    @property
+    def size(self) -> int:
+        """How many unknowns there are beside the points."""
+        return 6 * self.num_cameras + sum(size * count for size, _, count in self.families) + self.num_extra
+
+    def rows(self) -> tuple[Tensor, Tensor]:
+        """The whole Jacobian, one observation and one term after another, and the residuals; what is kept comes first,
+        then the points, and in the end a column of what is held."""
+        width = self.size + 3 * self.num_points + 1
+        jacobian, residual = [torch.zeros(0, width, dtype=torch.float64)], [torch.zeros(0, dtype=torch.float64)]
+        for k, (camera, point) in enumerate(zip(self.camera.tolist(), self.point.tolist(), strict=True)):
+            columns, first = [6 * camera + i for i in range(6)], 6 * self.num_cameras
+            for size, of_camera, count in self.families:
+                columns += [first + size * int(of_camera[camera]) + i for i in range(size)]
+                first += size * count
+            row = torch.zeros(2, width, dtype=torch.float64)
+            row[:, columns] = self.by_kept[k]
+            row[:, self.size + 3 * point : self.size + 3 * point + 3] = self.by_point[k]
+            jacobian.append(self.weight[k].sqrt() * row)
+            residual.append(self.weight[k].sqrt() * self.residual[k])
+        for term in self.terms:
+            for columns, by, value in zip(*(term.columns.tolist(), term.jacobian, term.residual), strict=True):
+                row = torch.zeros(len(value), width, dtype=torch.float64)
+                row[:, [-1 if column == self.size else column for column in columns]] = by
+                jacobian.append(row)
+                residual.append(value)
+        return torch.cat(jacobian), torch.cat(residual)
+
+    def dense(self) -> tuple[Tensor, Tensor]:
+        """Hessian and gradient of all unknowns, but for those that are held."""
+        jacobian, residual = self.rows()
+        return (jacobian.T @ jacobian)[:-1, :-1], (jacobian.T @ residual)[:-1]
+
+    def dense_step(self, damping: float) -> Tensor:
+        """Of all unknowns; zero for those that nothing depends on."""
+        hessian, gradient = self.dense()
+        alive = hessian.diagonal() > 0.0
+        damped = (hessian + damping * torch.diag(hessian.diagonal()))[alive][:, alive]
+        step = torch.zeros_like(gradient)
+        step[alive] = torch.linalg.solve(damped, -gradient[alive])
+        return step
+
+
+@dataclass(frozen=True)
+class DenseElimination:
+    """The blocks of the damped Hessian [B E; E^T V], the damped inverse of V (zero for points that nobody sees), and the
+    gradients of what is kept and of the points."""
+
+    b: Tensor
+    e: Tensor
+    v_inverse: Tensor
+    kept_gradient: Tensor
+    point_gradient: Tensor
+
+    @classmethod
+    def of(cls, linear: Linear, damping: float) -> "DenseElimination":
+        """B is left undamped."""
+        hessian, gradient = linear.dense()
+        k = linear.size
+        v = hessian[k:, k:] + damping * torch.diag(hessian.diagonal()[k:])
+        alive = v.diagonal() > 0.0
+        inverse = torch.zeros_like(v)
+        inverse[alive.nonzero(), alive.nonzero().T] = torch.linalg.inv(v[alive][:, alive])
+        return cls(hessian[:k, :k], hessian[:k, k:], inverse, gradient[:k], gradient[k:])
+
+
+def flat(step: Step) -> Tensor:
+    return torch.cat((step.kept, step.point.flatten()))
+
+
+def at_places(elimination: Elimination, by_point: Tensor) -> Tensor:
+    """(3 n) of all points one after another, as (3, places)."""
+    plan = elimination.system.plan
+    result = by_point.new_zeros(3, plan.num_places)
+    result[:, plan.place_of_point] = by_point.view(-1, 3).T
+    return result
+
+
+def of_points(elimination: Elimination, at: Tensor) -> Tensor:
+    """(3, places) as (3 n) of all points one after another."""
+    return at[:, elimination.system.plan.place_of_point].T.flatten()
+
+
+def with_gauge(linear: Linear, draw) -> tuple[Linear, Tensor]:
+    """The same observations made blind to four random directions, and an orthonormal basis (size, 4) of these."""
+    size, cameras = linear.size, linear.num_cameras
+    kept, points = draw.normal(size, 4), draw.normal(linear.num_points, 3, 4)
+    local = torch.cat((kept[linear.plan().columns[linear.camera]], points[linear.point]), dim=1)
+    basis = torch.linalg.qr(local).Q
+    rows = torch.cat((linear.by_kept, linear.by_point), dim=-1)
+    rows = rows - (rows @ basis) @ basis.mT
+    assert cameras == int(linear.camera.max()) + 1
+    return replace(linear, by_kept=rows[..., :-3], by_point=rows[..., -3:]), torch.linalg.qr(kept).Q

@@ -1,0 +1,133 @@
+"""Conjugate gradients on the reduced system against the dense solution."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from linear_problems import DenseElimination, flat, with_gauge
+
+from torchrefrac.optim import Elimination, IterativeOptions, Linearized, solve_dense, solve_iteratively
+
+SHAPES = [
+    {},
+    {"families": [(3, 2), (1, 1)]},
+    {"families": [(2, 2)], "extra": 3},
+    {"extra": 3},
+    {"cameras": 9, "points": 150, "pairs": 500, "families": [(2, 3)]},
+]
+shapes = pytest.mark.parametrize("shape", SHAPES, ids=str)
+TIGHT = IterativeOptions(tolerance=1e-11)
+
+
+@shapes
+@pytest.mark.parametrize("damping", [0.0, 1e-4, 1.0])
+@pytest.mark.parametrize("directions", [None, 0, 3])
+def test_the_solution_is_the_dense_one(make_linear, draw, cut, shape, damping, directions):
+    cut(tile=8, elements=1 << 12, gram=4, cached=50)
+    elimination = Elimination(make_linear(**shape).system(), damping)
+    coarse = None if directions is None else draw.normal(elimination.system.plan.size, directions)
+
+    solution, solved = solve_iteratively(elimination, coarse, TIGHT)
+
+    assert solved
+    torch.testing.assert_close(solution, solve_dense(elimination)[0], rtol=1e-6, atol=1e-7)
+
+
+@shapes
+def test_the_whole_step_is_that_of_the_full_normal_equations(make_linear, shape):
+    linear = make_linear(**shape)
+
+    step = Linearized(linear.system(), "iterative", TIGHT).solve(1e-3)
+
+    torch.testing.assert_close(flat(step), linear.dense_step(1e-3), rtol=1e-6, atol=1e-7)
+
+
+def test_what_nothing_depends_on_stands_still(make_linear, draw):
+    linear = make_linear(families=[(2, 5)], extra=2)
+    linear = replace(linear, terms=())
+    linear.by_kept[linear.camera == 1, :, 2:5] = 0.0
+    linear = linear.where((linear.point != 4) & (linear.camera != 2))
+    elimination = Elimination(linear.system(), 1e-3)
+
+    for coarse in (None, draw.normal(linear.size, 3)):
+        solution, solved = solve_iteratively(elimination, coarse, TIGHT)
+
+        assert solved
+        torch.testing.assert_close(solution, solve_dense(elimination)[0], rtol=1e-6, atol=1e-7)
+        assert solution[[8, 9, 10, *range(12, 18), -1, -2]].abs().amax() < 1e-12
+
+
+def test_a_looser_tolerance_leaves_a_greater_residual(make_linear):
+    linear = make_linear(cameras=9, points=150, pairs=500)
+    elimination, dense = Elimination(linear.system(), 1e-4), DenseElimination.of(linear, 1e-4)
+    system = dense.b + 1e-4 * torch.diag(dense.b.diagonal()) - dense.e @ dense.v_inverse @ dense.e.T
+    right = dense.e @ dense.v_inverse @ dense.point_gradient - dense.kept_gradient
+
+    residuals = []
+    for tolerance in (1e-1, 1e-4, 1e-8):
+        solution, _ = solve_iteratively(elimination, None, IterativeOptions(tolerance))
+        residuals.append(float((system @ solution - right).norm() / right.norm()))
+
+    assert residuals == sorted(residuals, reverse=True)
+    assert 1e-8 < residuals[1] < 1e-2
+    assert residuals[2] < 1e-6
+
+
+def test_a_search_that_is_cut_short_has_a_step_that_goes_down(make_linear):
+    linear = make_linear(cameras=9, points=150, pairs=500, families=[(2, 3)])
+    jacobian, residual = linear.rows()
+
+    step = Linearized(linear.system(), "iterative", IterativeOptions(1e-12, max_iterations=3)).solve(1e-4)
+
+    assert step.solved
+    after = residual + jacobian[:, :-1] @ flat(step)
+    decrease = 0.5 * (residual.square().sum() - after.square().sum())
+    assert decrease > 0.0
+    torch.testing.assert_close(step.predicted_decrease, decrease, rtol=1e-9, atol=0.0)
+
+
+def test_coarse_directions_in_which_the_cost_is_nearly_flat_are_taken_at_once(make_linear, draw):
+    linear = make_linear(cameras=9, points=150, pairs=500)
+    blind, weak = with_gauge(linear, draw)
+    linear = replace(
+        blind,
+        by_kept=blind.by_kept + 1e-3 * (linear.by_kept - blind.by_kept),
+        by_point=blind.by_point + 1e-3 * (linear.by_point - blind.by_point),
+    )
+    elimination = Elimination(linear.system(), 1e-9)
+    exact, _ = solve_dense(elimination)
+
+    def error(coarse):
+        solution, _ = solve_iteratively(elimination, coarse, IterativeOptions(1e-14, max_iterations=25))
+        return float((solution - exact).norm() / exact.norm())
+
+    assert error(weak) < 1e-3 * error(None)
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-14, 1e-4])
+@pytest.mark.parametrize("families", [(), ((2, 1),)], ids=str)
+@pytest.mark.parametrize("with_coarse", [False, True])
+def test_a_gauge_leaves_a_step_that_satisfies_the_normal_equations(make_linear, draw, damping, families, with_coarse):
+    """Whether or not the gauge is among the coarse directions."""
+    linear, gauge = with_gauge(make_linear(cameras=9, points=150, pairs=500, families=families), draw)
+    hessian, gradient = linear.dense()
+
+    step = Linearized(linear.system(), "iterative", TIGHT, gauge if with_coarse else None).solve(damping)
+
+    assert step.solved
+    damped = hessian + damping * torch.diag(hessian.diagonal())
+    assert (damped @ flat(step) + gradient).norm() < 1e-6 * gradient.norm()
+
+
+def test_a_system_that_is_not_positive_definite_is_not_solved(make_linear):
+    """Terms whose Hessian is below zero by far."""
+    linear = make_linear(extra=3)
+    system = linear.system()
+    first, *terms = system.blocks
+    negative = [term._replace(hessian=-1e3 * term.hessian) for term in terms]
+    elimination = Elimination(replace(system, blocks=(first, *negative)), 1e-4)
+
+    solution, solved = solve_iteratively(elimination, None, IterativeOptions())
+
+    assert solution.isfinite().all()
+    assert not solved

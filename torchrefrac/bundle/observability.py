@@ -1,0 +1,150 @@
+"""What images and measurements say about water, lens and scale - before anybody believes what they were refined to."""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchrefrac.bundle.gauge import SCALE, similarity_motions
+from torchrefrac.bundle.layout import WATER_WIDTH, Layout
+from torchrefrac.bundle.problem import BundleProblem
+from torchrefrac.bundle.state import BundleState
+from torchrefrac.bundle.terms import GlobalPrior
+from torchrefrac.optim import Covariance, SingularError
+
+UNNOTICED = 1e-6
+WORDS = {
+    "index_ratio": "index ratio",
+    "plane_tilt": "tilt of the water plane against the cameras",
+    "plane_height": "height of the cameras above the water, relative",
+    "scale": "scale, relative",
+    "focal": "focal length, relative",
+    "principal_point": "principal point",
+    "radial": "radial distortion",
+    "distortion": "distortion",
+}
+UNITS = {"plane_tilt": " degrees", "principal_point": " px"}
+USEFUL = {  # a standard deviation beyond which refining tells nothing that was not known better
+    "index_ratio": 0.05,
+    "plane_tilt": 5.0,
+    "plane_height": 0.25,
+    "focal": 0.1,
+    "principal_point": 200.0,
+    "radial": 0.5,
+    "distortion": 0.5,
+}
+VAGUE = {"focal": 10.0, "principal_point": 1e5, "radial": 100.0, "distortion": 1e3, "index_ratio": 10.0}
+
+
+@dataclass(frozen=True)
+class Determination:
+    """How well one quantity is known: as a standard deviation, after the adjustment (inf: not at all) and before it
+    (None: not at all). Tilts are in degrees, heights relative to the mean height of the cameras."""
+
+    name: str
+    posterior: float
+    prior: float | None = None
+
+    @property
+    def useful(self) -> bool:
+        """Whether the data, or what was known before, determine it well enough to refine it."""
+        return self.prior is not None or self.posterior <= USEFUL.get(self.name, math.inf)
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        unit = UNITS.get(self.name, "")
+        if math.isinf(self.posterior):
+            return f"{WORDS[self.name]}: not determined"
+        told = f"{WORDS[self.name]}: determined to {self.posterior:.2g}{unit}"
+        if self.prior is None:
+            return told
+        if self.posterior > 0.9 * self.prior:
+            return f"{told}, which is what was known before"
+        return f"{told} (known to {self.prior:.2g}{unit} before)"
+
+
+def determinations(problem: BundleProblem, state: BundleState, pixel_sigma: float) -> list[Determination]:
+    """How well index ratio, plane, scale and what is refined of the lens are determined at `state`.
+
+    Asked of the adjustment in which all of them vary, whether or not they do in `problem`. Plane and heights are
+    relative to the cameras. Raises SingularError where not even the cameras are determined.
+    """
+    layout = replace(problem.layout, water=tuple(WATER_WIDTH))
+    names = (*layout.lens, "index_ratio")
+    vague = [GlobalPrior(name, state, VAGUE[name]) for name in names]
+    options = replace(problem.options, loss="squared", pixel_sigma=pixel_sigma)
+    asked = problem.with_layout(layout, options, [*problem.terms, *vague])
+    system = asked.linearize(state).system
+    found = Covariance.of(system)
+    dead = torch.nn.functional.pad(system.diagonal == 0.0, (0, 1), value=True)
+    gauge = system.null_space
+    motions, _ = similarity_motions(state, layout)
+    expected = problem.options.expected
+    height = _mean_height(problem, state)
+
+    def deviation(column: int) -> float:
+        if bool(dead[column]):
+            return math.inf
+        functional = motions.new_zeros(layout.size)
+        functional[column] = 1.0
+        return pixel_sigma * _deviation(found.kept, _against_cameras(functional, gauge, layout))
+
+    result = []
+    for name in layout.lens:
+        columns = layout.lens_columns(name, torch.arange(layout.num_lenses)).flatten().tolist()
+        result.append(_judged(name, max(deviation(c) for c in columns), 1.0, expected.sigma_of(name)))
+    result.append(_judged("index_ratio", deviation(layout.index_column()), 1.0, expected.index_ratio))
+    planes = layout.plane_columns(torch.arange(layout.num_planes)).tolist()
+    tilt = max(deviation(column) for plane in planes for column in plane[:2])
+    result.append(_judged("plane_tilt", tilt, 180.0 / math.pi, expected.sigma_of("plane_tilt")))
+    result.append(_judged("plane_height", max(deviation(p[2]) for p in planes), 1.0 / height, expected.plane_height))
+    result.append(Determination("scale", _scale_deviation(found.kept, motions, gauge, layout) * pixel_sigma))
+    return result
+
+
+def _judged(name: str, sigma: float, unit: float, prior: float | None) -> Determination:
+    beyond = name in VAGUE and sigma > 0.5 * VAGUE[name]
+    return Determination(name, math.inf if beyond else sigma * unit, None if prior is None else prior * unit)
+
+
+def _against_cameras(functional: Tensor, gauge: Tensor | None, layout: Layout) -> Tensor:
+    """`functional` (size) of a scene whose cameras, as a whole, stay where they are: Baarda's S-transformation."""
+    if gauge is None:
+        return functional
+    cameras = gauge.clone()
+    cameras[6 * layout.num_cameras :] = 0.0
+    return functional - cameras @ torch.linalg.lstsq(gauge.T @ cameras, (gauge.T @ functional)[:, None]).solution[:, 0]
+
+
+def _scale_deviation(kept: Tensor, motions: Tensor, gauge: Tensor | None, layout: Layout) -> float:
+    """Of the scale of all cameras about the water; inf where the gauge is free to change it."""
+    motion = motions[:, SCALE].clone()
+    if gauge is not None:
+        rest = motion - gauge @ (gauge.T @ motion)
+        if float(rest.norm()) <= UNNOTICED * float(motion.norm()):
+            return math.inf
+    motion[6 * layout.num_cameras :] = 0.0
+    return _deviation(kept, motion / motion.square().sum())
+
+
+def _deviation(kept: Tensor, functional: Tensor) -> float:
+    return math.sqrt(max(float(functional @ kept @ functional), 0.0))
+
+
+def _mean_height(problem: BundleProblem, state: BundleState) -> float:
+    normal, offset = (value[problem.layout.links.plane] for value in state.planes)
+    return float(((normal * state.center).sum(dim=-1) - offset).abs().mean())
+
+
+def unseen(problem: BundleProblem, state: BundleState, pixel_sigma: float) -> dict[str, str]:
+    """What `problem` refines of lens and water although nothing determines it, and a sentence about each."""
+    refined = (*problem.layout.lens, *problem.layout.water)
+    if not refined:
+        return {}
+    try:
+        found = determinations(problem, state, pixel_sigma)
+    except SingularError:
+        return {}
+    return {d.name: d.sentence for d in found if d.name in refined and not d.useful}
