@@ -1,4 +1,4 @@
-"""What the tests of the adjustment compare it with: residuals by the camera, derivatives by autograd, dense matrices."""
+"""What the tests of the adjustment compare it with: residuals by the camera, derivatives by autograd, dense algebra."""
 
 import torch
 from torch import Tensor
@@ -91,7 +91,7 @@ def dense_system(system) -> tuple[Tensor, Tensor]:
 
 
 def null_space_of(jacobian: Tensor, tolerance: float = 1e-9) -> Tensor:
-    """Orthonormal basis (unknowns, k) of the steps that change nothing; unknowns that nothing depends on stand still."""
+    """Orthonormal basis (unknowns, k) of steps that change nothing; unknowns that nothing depends on stand still."""
     size = jacobian.norm(dim=0)
     live = size > 0
     _, singular, directions = torch.linalg.svd(jacobian[:, live] / size[live], full_matrices=True)

@@ -24,9 +24,7 @@ from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry import so3_exp
 from torchrefrac.optim import LevenbergMarquardtOptions
 
-SQUARED = BundleOptions(
-    loss="squared", solver=LevenbergMarquardtOptions(max_iterations=100, function_tolerance=1e-12)
-)
+SQUARED = BundleOptions(loss="squared", solver=LevenbergMarquardtOptions(max_iterations=100, function_tolerance=1e-12))
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class Planted:
         return Layout.create(self.truth, self.links, tuple(refine), held, kept=kept)
 
     def problem(self, *, terms: Sequence[Term] = (), held: Tensor | None = None, **changes) -> BundleProblem:
-        """The problem of adjusting the truth, with the loss squared and pixels known to 0.3. changes: of the options."""
+        """The problem of adjusting the truth, by default with the loss squared; changes: of the options."""
         options = replace(SQUARED, **changes)
         layout = self.layout(options.refine, terms=terms, held=held)
         return BundleProblem.create(self.truth, layout, self.observations, options, terms)

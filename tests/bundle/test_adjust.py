@@ -143,9 +143,7 @@ def test_a_precise_gravity_prior_holds_the_cameras_upright(plant, disturb):
     planted = plant(noise=2.0)
     start = disturb(planted.truth)
 
-    free, held = (
-        planted.adjusted(start, terms=terms) for terms in ([], [GravityPrior(planted.down_in_cam, 1e-8)])
-    )
+    free, held = (planted.adjusted(start, terms=terms) for terms in ([], [GravityPrior(planted.down_in_cam, 1e-8)]))
 
     assert _tilt(free.state, planted) > 1e-4
     assert _tilt(held.state, planted) < 1e-6

@@ -35,9 +35,7 @@ def test_with_noise_the_pose_is_that_of_scipy(plant, disturb, squared):
 
     def residual(x):
         rotation = Rotation.from_rotvec(x[:3]).as_matrix() @ start.rotation[0].numpy()
-        camera = RefractiveCamera(
-            start.lens, torch.from_numpy(rotation), torch.from_numpy(x[3:]), FlatInterface(1.33)
-        )
+        camera = RefractiveCamera(start.lens, torch.from_numpy(rotation), torch.from_numpy(x[3:]), FlatInterface(1.33))
         return (camera.project(start.points)[0] - planted.observations.pixels).flatten().numpy()
 
     oracle = least_squares(residual, np.append(np.zeros(3), start.center[0].numpy()), x_scale="jac", xtol=1e-14)

@@ -65,9 +65,7 @@ def test_the_hessian_is_that_of_gauss_and_newton(plant, disturb, refine, lenses,
     jacobian = jacobian_of(residuals, problem.layout, state)
     expected = jacobian.T @ jacobian
     scale = expected.diagonal().sqrt().clamp(min=1e-300)
-    torch.testing.assert_close(
-        matrix / scale / scale[:, None], expected / scale / scale[:, None], rtol=0.0, atol=1e-11
-    )
+    torch.testing.assert_close(matrix / scale / scale[:, None], expected / scale / scale[:, None], rtol=0.0, atol=1e-11)
     slope = jacobian.T @ residuals(state) / scale
     torch.testing.assert_close(gradient / scale, slope, rtol=0.0, atol=1e-11 * float(slope.abs().amax()))
 

@@ -1,110 +1,225 @@
-"""What no image can tell: 4 freedoms above water, 7 in air."""
+"""What no image can tell: 4 freedoms above a known water, 7 in air, fewer with every measurement that notices them."""
 
 from dataclasses import replace
 
 import pytest
 import torch
+from bundle_oracles import dense_system, jacobian_of, null_space_of, projector, weighted_residuals
 from tolerances import assert_matches
 
+from torchrefrac.bundle import (
+    CenterPrior,
+    Expectations,
+    HeightPrior,
+    KnownPoints,
+    Links,
+    ScaleBars,
+    Waterline,
+)
 from torchrefrac.bundle.gauge import gauge_directions
-from torchrefrac.geometry import heading_rotation
+from torchrefrac.geometry import heading_rotation, so3_exp
 from torchrefrac.optim import Step
 
 in_water_and_air = pytest.mark.parametrize(("index_ratio", "freedoms"), [(1.333, 4), (1.0, 7)], ids=["water", "air"])
+WATER, AIR = 1.333, 1.0
+ONE = torch.ones(1, dtype=torch.float64)
 
 
-@in_water_and_air
-def test_the_reduced_hessian_of_a_perfect_state_has_exactly_the_gauge_for_its_null_space(plant, index_ratio, freedoms):
-    planted = plant(cameras=5, points=40, index_ratio=index_ratio)
-    reduced = _reduced(planted.problem().linearize(planted.truth))
-
-    gauge = gauge_directions(planted.truth.rotation, planted.truth.center, 0, refractive=index_ratio > 1.0)
-
-    values, vectors = torch.linalg.eigh(reduced)
-    assert gauge.shape[-1] == freedoms
-    assert values[freedoms - 1] < 1e-8 * values[freedoms]
-    null = vectors[:, :freedoms]
-    torch.testing.assert_close(gauge @ gauge.T, null @ null.T, rtol=0.0, atol=1e-6)
+def _centers(truth, *images):
+    index = torch.tensor(images)
+    return CenterPrior(index, truth.center[index], torch.eye(3, dtype=torch.float64).expand(len(index), 3, 3))
 
 
-def test_gravity_leaves_the_gauge_through_water_as_it_is(plant):
-    planted = plant(cameras=5, points=40)
-
-    reduced = _reduced(planted.problem(gravity=True).linearize(planted.truth))
-
-    gauge = gauge_directions(planted.truth.rotation, planted.truth.center, 0, refractive=True)
-    values = torch.linalg.eigvalsh(reduced)
-    assert values[3] < 1e-8 * values[4]
-    assert (reduced @ gauge).abs().amax() < 1e-9 * reduced.abs().amax()
+def _points(truth, *points):
+    index = torch.tensor(points)
+    return KnownPoints(index, truth.points[index], torch.eye(3, dtype=torch.float64).expand(len(index), 3, 3))
 
 
-def test_shared_unknowns_take_no_part_in_the_gauge(plant):
-    planted = plant()
-
-    gauge = gauge_directions(planted.truth.rotation, planted.truth.center, 2, refractive=True)
-
-    assert gauge.shape == (6 * 4 + 2, 4)
-    assert (gauge[-2:] == 0.0).all()
+def _height(truth):
+    return HeightPrior(torch.tensor([1]), truth.center[1:2, 2], ONE)
 
 
-@in_water_and_air
-def test_the_directions_are_orthonormal(plant, index_ratio, freedoms):
-    truth = plant(index_ratio=index_ratio).truth
+def _bar(truth):
+    return ScaleBars(torch.tensor([8]), torch.tensor([9]), (truth.points[8] - truth.points[9]).norm()[None], ONE)
 
-    gauge = gauge_directions(truth.rotation, truth.center, 0, refractive=index_ratio > 1.0)
 
-    assert_matches(gauge.T @ gauge, torch.eye(freedoms, dtype=torch.float64), slack=10.0)
+def _shore(truth):
+    """Points 0 and 1 are on the water."""
+    return Waterline(torch.tensor((0, 1)), torch.zeros(2, dtype=torch.long), torch.ones(2, dtype=torch.float64))
+
+
+BOTH = ("plane_tilt", "plane_height")
+CASES = {
+    "a known water": (WATER, 4, {}),
+    "a known water and a free lens": (WATER, 4, {"refine": ("focal", "radial")}),
+    "a known water and a free index": (WATER, 4, {"refine": ("index_ratio",)}),
+    "a known water and gravity": (WATER, 4, {"gravity": True}),
+    "a height above the water": (WATER, 3, {"terms": [_height]}),
+    "a bar through water": (WATER, 3, {"terms": [_bar]}),
+    "a shore on a known water": (WATER, 4, {"terms": [_shore]}),
+    "one centre above water": (WATER, 1, {"terms": [lambda t: _centers(t, 2)]}),
+    "two centres above water": (WATER, 0, {"terms": [lambda t: _centers(t, 2, 0)]}),
+    "one known point under water": (WATER, 1, {"terms": [lambda t: _points(t, 9)]}),
+    "one known point on the shore": (WATER, 2, {"terms": [lambda t: _points(t, 0)]}),
+    "two known points under water": (WATER, 0, {"terms": [lambda t: _points(t, 9, 8)]}),
+    "a bar and a centre": (WATER, 1, {"terms": [_bar, lambda t: _centers(t, 2)]}),
+    "a held camera above water": (WATER, 0, {"held": (slice(0, 1), slice(None))}),
+    "a held centre above water": (WATER, 1, {"held": (slice(1, 2), slice(3, 6))}),
+    "a held height above water": (WATER, 3, {"held": (slice(1, 2), slice(5, 6))}),
+    "held rotations above water": (WATER, 3, {"held": (slice(None), slice(0, 3))}),
+    "a free water": (WATER, 7, {"refine": BOTH}),
+    "a free water and a free index": (WATER, 7, {"refine": ("index_ratio", *BOTH)}),
+    "a free water and gravity": (WATER, 5, {"refine": BOTH, "gravity": True}),
+    "a free water, gravity and a height": (WATER, 4, {"refine": BOTH, "gravity": True, "terms": [_height]}),
+    "a free water, gravity and a bar": (WATER, 4, {"refine": BOTH, "gravity": True, "terms": [_bar]}),
+    "a free water and two centres": (WATER, 1, {"refine": BOTH, "terms": [lambda t: _centers(t, 0, 2)]}),
+    "a free water and three points": (WATER, 0, {"refine": BOTH, "terms": [lambda t: _points(t, 9, 8, 4)]}),
+    "a free water and a shore": (WATER, 7, {"refine": BOTH, "terms": [_shore]}),
+    "a free water of which something is expected": (
+        WATER,
+        4,
+        {"refine": BOTH, "expected": Expectations(plane_tilt_deg=1.0, plane_height=1.0)},
+    ),
+    "a free level": (WATER, 5, {"refine": ("plane_height",)}),
+    "a free tilt about the origin": (WATER, 6, {"refine": ("plane_tilt",)}),
+    "two free levels": (WATER, 5, {"refine": ("plane_height",), "levels": 2}),
+    "two known levels": (WATER, 3, {"levels": 2}),
+    "two free waters": (WATER, 7, {"refine": BOTH, "levels": 2}),
+    "air": (AIR, 7, {}),
+    "air and a free lens": (AIR, 7, {"refine": ("focal", "radial")}),
+    "air and gravity": (AIR, 5, {"gravity": True}),
+    "a bar in air": (AIR, 6, {"terms": [_bar]}),
+    "one centre in air": (AIR, 4, {"terms": [lambda t: _centers(t, 2)]}),
+    "two centres in air": (AIR, 1, {"terms": [lambda t: _centers(t, 2, 0)]}),
+    "three centres in air": (AIR, 0, {"terms": [lambda t: _centers(t, 2, 0, 1)]}),
+    "one known point in air": (AIR, 4, {"terms": [lambda t: _points(t, 9)]}),
+    "three known points in air": (AIR, 0, {"terms": [lambda t: _points(t, 9, 8, 4)]}),
+    "a held camera in air": (AIR, 1, {"held": (slice(0, 1), slice(None))}),
+    "a height in air": (AIR, 3, {"terms": [_height]}),
+}
+
+
+@pytest.fixture
+def case_of(plant):
+    """`case_of(name)`: the planted scene of CASES, and its problem. Two of its points lie on the water."""
+
+    def make(name):
+        index_ratio, _, options = CASES[name]
+        options = dict(options)
+        planted = plant(cameras=5, points=14, index_ratio=index_ratio)
+        planted = _with(planted, shore=2, levels=options.pop("levels", 1))
+        terms = [term(planted.truth) for term in options.pop("terms", [])]
+        terms += [planted.gravity] if options.pop("gravity", False) else []
+        held = torch.zeros(5, 6, dtype=torch.bool)
+        if "held" in options:
+            held[options.pop("held")] = True
+        return planted, planted.problem(terms=terms, held=held, **options)
+
+    return make
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_gauge_is_the_null_space_of_all_derivatives_at_a_perfect_state(case_of, name):
+    planted, problem = case_of(name)
+    layout, freedoms = problem.layout, CASES[name][1]
+
+    gauge = problem.linearize(planted.truth).system.null_space
+
+    residuals = weighted_residuals(problem, planted.observations, planted.truth)
+    null = null_space_of(jacobian_of(residuals, layout, planted.truth))
+    assert (0 if gauge is None else gauge.shape[1]) == freedoms == null.shape[1]
+    if gauge is not None:
+        actual, expected = projector(gauge, layout.size), projector(null[: layout.size], layout.size)
+        torch.testing.assert_close(actual, expected, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_directions_are_orthonormal(case_of, name):
+    planted, problem = case_of(name)
+
+    gauge = problem.linearize(planted.truth).system.null_space
+
+    if gauge is not None:
+        assert_matches(gauge.T @ gauge, torch.eye(gauge.shape[1], dtype=torch.float64), slack=10.0)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_away_from_the_minimum_too_the_points_can_follow_so_that_the_cost_is_flat(case_of, disturb, name):
+    """To first order, wherever the measurements themselves notice nothing."""
+    planted, problem = case_of(name)
+    state = disturb(planted.truth, size=0.3)
+
+    system = problem.linearize(state).system
+
+    matrix, gradient = dense_system(system)
+    if system.null_space is not None:
+        size = problem.layout.size
+        followed = -torch.linalg.solve(matrix[size:, size:], matrix[size:, :size] @ system.null_space)
+        whole = torch.cat((system.null_space, followed))
+        scale = matrix.diagonal().sqrt() @ whole.abs()
+        assert ((matrix @ whole) / matrix.diagonal().sqrt().clamp(min=1e-300)[:, None] / scale).abs().amax() < 1e-8
+        assert ((gradient @ whole) / (gradient.abs() @ whole.abs())).abs().amax() < 1e-8
+
+
+def test_shared_unknowns_of_the_lens_take_no_part_in_the_gauge(plant):
+    planted = plant(lenses=2)
+
+    gauge = gauge_directions(planted.truth, planted.layout(("focal", "distortion")))
+
+    assert gauge.shape == (6 * 4 + 2 * 6, 4)
+    assert (gauge[24:] == 0.0).all()
+
+
+@pytest.mark.parametrize("name", [name for name, (_, _, options) in CASES.items() if "held" in options])
+def test_what_is_held_takes_no_part_in_the_gauge_to_the_last_bit(case_of, name):
+    planted, problem = case_of(name)
+
+    gauge = problem.linearize(planted.truth).system.null_space
+
+    if gauge is not None:
+        held = problem.layout.held.flatten().nonzero()[:, 0]
+        assert (gauge[held] == 0.0).all()
 
 
 @pytest.mark.parametrize("move", ["x", "y", "heading", "scale"])
 def test_moving_cameras_and_points_together_costs_nothing_however_far(plant, disturb, move):
     planted = plant(noise=1.0, land=4)
-    problem = planted.problem(gravity=True, loss_scale=0.25)
+    problem = planted.problem(terms=[planted.gravity], loss="huber")
     state = disturb(planted.truth)
 
     turn = heading_rotation(torch.tensor(2.0 if move == "heading" else 0.0, dtype=torch.float64))
     shift = torch.tensor((70.0 * (move == "x"), -30.0 * (move == "y"), 0.0), dtype=torch.float64)
-    scale = 3.0 if move == "scale" else 1.0
-    moved = replace(
-        state,
-        rotation=state.rotation @ turn.T,
-        center=scale * state.center @ turn.T + shift,
-        points=scale * state.points @ turn.T + shift,
-    )
+    moved = _moved(state, turn, shift, 3.0 if move == "scale" else 1.0)
 
-    assert_matches(problem.cost(moved), problem.cost(state), slack=100.0)
+    assert_matches(problem.linearize(moved).cost, problem.linearize(state).cost, slack=100.0)
 
 
 @pytest.mark.parametrize("move", ["z", "tilt"])
 def test_through_water_lifting_or_tilting_the_scene_is_seen(plant, move):
     planted = plant()
-    tilt = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.995, -0.0998], [0.0, 0.0998, 0.995]], dtype=torch.float64)
-    turn = torch.linalg.qr(tilt).Q if move == "tilt" else torch.eye(3, dtype=torch.float64)
+    tilt = torch.tensor((0.1 if move == "tilt" else 0.0, 0.0, 0.0), dtype=torch.float64)
     shift = torch.tensor((0.0, 0.0, 1.0 if move == "z" else 0.0), dtype=torch.float64)
 
-    moved = replace(
-        planted.truth,
-        rotation=planted.truth.rotation @ turn.T,
-        center=planted.truth.center @ turn.T + shift,
-        points=planted.truth.points @ turn.T + shift,
-    )
+    moved = _moved(planted.truth, so3_exp(tilt), shift, 1.0)
 
-    assert planted.problem().cost(moved) > 1.0
+    assert planted.problem().linearize(moved).cost > 1.0
 
 
 @in_water_and_air
 def test_along_the_gauge_the_cost_grows_with_the_fourth_power_of_the_step(plant, index_ratio, freedoms):
     planted = plant(cameras=3, points=10, index_ratio=index_ratio)
     problem = planted.problem()
-    gauge = gauge_directions(planted.truth.rotation, planted.truth.center, 0, refractive=index_ratio > 1.0)
-    equations = problem.linearize(planted.truth)
+    system = problem.linearize(planted.truth).system
+    matrix, _ = dense_system(system)
+    size = problem.layout.size
 
-    for direction in gauge.T:
+    assert system.null_space.shape[1] == freedoms
+    for direction in system.null_space.T:
+        points = -torch.linalg.solve(matrix[size:, size:], matrix[size:, :size] @ direction).view(-1, 3)
         costs = []
-        for size in (1e-2, 2e-2):
-            points = _following_points(equations, size * direction)
-            moved = problem.retract(planted.truth, Step(size * direction, points, torch.zeros(()), torch.tensor(True)))
-            costs.append(float(problem.cost(moved)))
+        for length in (1e-2, 2e-2):
+            step = Step(length * direction, length * points, torch.zeros(()), torch.tensor(True))
+            costs.append(float(problem.linearize(problem.retract(planted.truth, step)).cost))
         assert costs[0] < 1e-6
         assert costs[1] < 17.0 * costs[0] + 1e-15
 
@@ -114,29 +229,31 @@ def test_a_step_does_not_drift_along_the_gauge(plant, disturb, index_ratio, free
     planted = plant(noise=0.5, index_ratio=index_ratio)
     state = disturb(planted.truth, size=0.2)
 
-    equations = planted.problem(free_gauge=True).linearize(state)
-    step = equations.solve(1e-6)
+    linearized = planted.problem().linearize(state)
+    step = linearized.solve(1e-6)
 
     assert step.solved
-    assert equations.null_space.shape[-1] == freedoms
-    assert (equations.null_space.T @ step.camera).norm() < 1e-3 * step.camera.norm()
+    assert linearized.system.null_space.shape[-1] == freedoms
+    assert (linearized.system.null_space.T @ step.kept).norm() < 1e-3 * step.kept.norm()
 
 
-def _reduced(equations):
-    """The Schur complement B - E^T V^-1 E of the cameras."""
-    coupling = _coupling(equations)
-    points = torch.linalg.inv(equations.point_hessian)
-    return equations.hessian - torch.einsum("pix,pij,pjy->xy", coupling, points, coupling)
+def _moved(state, turn, shift, scale):
+    return replace(
+        state,
+        rotation=state.rotation @ turn.T,
+        center=scale * state.center @ turn.T + shift,
+        points=scale * state.points @ turn.T + shift,
+    )
 
 
-def _following_points(equations, cameras):
-    """How the points best follow a move of the cameras."""
-    rhs = _coupling(equations) @ cameras
-    return -torch.linalg.solve(equations.point_hessian, rhs)
-
-
-def _coupling(equations):
-    plan = equations.plan
-    coupling = torch.zeros(plan.num_points, 3, plan.num_cameras, 6, dtype=torch.float64)
-    coupling[plan.point, :, plan.camera] = equations.coupling
-    return coupling.flatten(-2)
+def _with(planted, shore, levels):
+    """The first points put on the water, and the water of the last cameras two centimetres higher."""
+    points = planted.truth.points.clone()
+    points[:shore, 2] = 0.0
+    normal, offset = (value.expand(levels, *value.shape[1:]) for value in planted.truth.planes)
+    truth = replace(planted.truth, points=points, normal=normal, offset=offset + 2.0 * torch.arange(levels))
+    links = Links(planted.links.lens, torch.arange(5) % levels)
+    seen = planted.observations
+    pixels, valid = truth.cameras(links, seen.camera).project(points[seen.point])
+    assert valid.all()
+    return replace(planted, truth=truth, links=links, observations=replace(seen, pixels=pixels))

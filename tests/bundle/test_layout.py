@@ -123,7 +123,9 @@ def test_points_that_are_held_do_not_move(plant, draw):
 
 
 def test_a_name_that_is_not_known_is_refused(plant):
-    with pytest.raises(ValueError, match="refine has 'zoom', but knows focal, principal_point, radial, distortion, ind"):
+    with pytest.raises(
+        ValueError, match="refine has 'zoom', but knows focal, principal_point, radial, distortion, ind"
+    ):
         plant().layout(("focal", "zoom"))
 
 

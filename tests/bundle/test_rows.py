@@ -31,9 +31,7 @@ def rows_of():
 
 @pytest.mark.parametrize("name", [*LENS, *WATER])
 @pytest.mark.parametrize(("lenses", "planes"), [(1, 1), (2, 1), (1, 2), (3, 2)])
-def test_every_unknown_has_the_derivative_of_autograd_through_the_camera(
-    plant, disturb, rows_of, name, lenses, planes
-):
+def test_every_unknown_has_the_derivative_of_autograd_through_the_camera(plant, disturb, rows_of, name, lenses, planes):
     planted = plant(points=8, land=1, lenses=lenses, planes=planes, distortion=(-0.1, 0.03, 0.001, -0.002, 0.01))
 
     _assert_rows_of_autograd(planted, disturb(planted.truth), rows_of, (name,))
@@ -104,7 +102,9 @@ def test_parts_of_a_lens_that_all_images_share_need_no_copies(plant, disturb, ro
     planted = plant(lenses=3)
     lens, state = planted.truth.lens, disturb(planted.truth)
     shared = replace(lens, distortion=lens.distortion[1], principal_point=lens.principal_point[1])
-    copied = replace(shared, distortion=shared.distortion.expand(3, 5), principal_point=shared.principal_point.expand(3, 2))
+    copied = replace(
+        shared, distortion=shared.distortion.expand(3, 5), principal_point=shared.principal_point.expand(3, 2)
+    )
 
     one, two = (rows_of(planted, replace(state, lens=kind), ("focal", "distortion"))[0] for kind in (shared, copied))
 

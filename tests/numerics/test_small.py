@@ -4,7 +4,9 @@ import pytest
 import torch
 from tolerances import DTYPES, assert_matches
 
-from torchrefrac.numerics import inverse_cholesky_3x3, smallest_eigenvector_2x2
+from torchrefrac.numerics import inverse_cholesky_3x3, inverse_cholesky_components, smallest_eigenvector_2x2
+
+ROW, COLUMN = torch.tril_indices(3, 3)
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -36,6 +38,36 @@ def test_inverse_cholesky_of_a_singular_matrix_is_finite(draw, rank):
     factor = draw.normal(500, 3, rank)
 
     assert inverse_cholesky_3x3(factor @ factor.mT).isfinite().all()
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("batch", [(), (7,), (2, 3)])
+def test_inverse_cholesky_by_components_is_that_of_the_matrices(draw, batch, dtype):
+    factor = draw.normal(*batch, 3, 5)
+    matrix = (factor @ factor.mT + torch.eye(3, dtype=torch.float64)).to(dtype)
+
+    x = inverse_cholesky_components(matrix[..., ROW, COLUMN].unbind(dim=-1))
+
+    expected = torch.linalg.inv(torch.linalg.cholesky(matrix.double())).to(dtype)
+    assert_matches(torch.stack(x, dim=-1), expected[..., ROW, COLUMN])
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_inverse_cholesky_by_components_of_zeros_maps_zero_to_zero(dtype):
+    """What nothing is known of stays where it is."""
+    x = inverse_cholesky_components([torch.zeros(4, dtype=dtype)] * 6)
+
+    assert all(part.isfinite().all() for part in x)
+    assert (torch.stack(x) * 0.0 == 0.0).all()
+
+
+def test_inverse_cholesky_reads_the_lower_triangle_alone(draw):
+    factor = draw.normal(20, 3, 5)
+    matrix = factor @ factor.mT
+    lower = matrix.clone()
+    lower[..., COLUMN[ROW > COLUMN], ROW[ROW > COLUMN]] = torch.nan
+
+    assert torch.equal(inverse_cholesky_3x3(lower), inverse_cholesky_3x3(matrix))
 
 
 def test_smallest_eigenvector_is_that_of_eigh(draw):

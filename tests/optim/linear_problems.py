@@ -39,6 +39,10 @@ class Linear:
         names = ("camera", "point", "residual", "by_kept", "by_point", "weight")
         return replace(self, **{name: getattr(self, name)[keep] for name in names})
 
+    def in_units(self, unit: Tensor) -> "Linear":
+        """Each unknown of a camera and its families, and each of a point (w + 3), in a unit of its own."""
+        return replace(self, by_kept=self.by_kept * unit[:-3], by_point=self.by_point * unit[-3:])
+
     def plan(self, locality: Tensor | None = None) -> SchurPlan:
         return SchurPlan.create(
             self.camera, self.point, self.num_cameras, self.num_points, self.families, self.num_extra, locality

@@ -86,6 +86,19 @@ def test_a_search_that_is_cut_short_has_a_step_that_goes_down(make_linear):
     torch.testing.assert_close(step.predicted_decrease, decrease, rtol=1e-9, atol=0.0)
 
 
+@pytest.mark.parametrize("iterations", [1, 5])
+def test_units_of_the_unknowns_do_not_matter_to_a_search_that_is_cut_short(make_linear, draw, iterations):
+    linear, unit = make_linear(families=[(3, 1)]), draw.power_of_ten(-8.0, 8.0, 12)
+    units, coarse = torch.cat((unit[:6].repeat(5), unit[6:9])), draw.normal(33, 2)
+
+    one, other = (
+        solve_iteratively(Elimination(problem.system(), 1e-4), by, IterativeOptions(0.0, iterations))[0]
+        for problem, by in ((linear, coarse), (linear.in_units(unit), coarse / units[:, None]))
+    )
+
+    torch.testing.assert_close(other * units, one, rtol=1e-7, atol=1e-9)
+
+
 def test_coarse_directions_in_which_the_cost_is_nearly_flat_are_taken_at_once(make_linear, draw):
     linear = make_linear(cameras=9, points=150, pairs=500)
     blind, weak = with_gauge(linear, draw)

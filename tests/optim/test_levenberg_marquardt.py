@@ -13,7 +13,8 @@ EXACT = LevenbergMarquardtOptions(function_tolerance=1e-14)
 
 
 class Rosenbrock:
-    """Half the squares of 10 (y - x^2) and 1 - x: the minimum is 0 at (1, 1). Remembers every damping and cost."""
+    """Half the squares of 10 (y - x^2) and 1 - x: the minimum is 0 at (1, 1). Remembers every damping, and the costs
+    wherever it was linearised."""
 
     def __init__(self):
         self.dampings, self.asked = [], []
@@ -23,20 +24,22 @@ class Rosenbrock:
         return torch.stack((10.0 * (y - x * x), 1.0 - x))
 
     def cost(self, state):
-        cost = 0.5 * self.residual(state).square().sum()
-        self.asked.append(float(cost))
-        return cost
+        return 0.5 * self.residual(state).square().sum()
 
     def linearize(self, state):
-        return _Dense(self, torch.autograd.functional.jacobian(self.residual, state), self.residual(state))
+        cost = self.cost(state)
+        self.asked.append(float(cost))
+        jacobian = torch.autograd.functional.jacobian(self.residual, state)
+        return _Dense(self, cost, jacobian, self.residual(state))
 
     def retract(self, state, step):
-        return state + step.camera
+        return state + step.kept
 
 
 class _Dense:
-    def __init__(self, problem, jacobian, residual):
-        self.problem, self.hessian, self.gradient = problem, jacobian.T @ jacobian, jacobian.T @ residual
+    def __init__(self, problem, cost, jacobian, residual):
+        self.problem, self.cost = problem, cost
+        self.hessian, self.gradient = jacobian.T @ jacobian, jacobian.T @ residual
 
     def solve(self, damping):
         self.problem.dampings.append(damping)
@@ -57,7 +60,7 @@ class Uphill(Rosenbrock):
     """Steps that promise much and always go up."""
 
     def retract(self, state, step):
-        return state - step.camera
+        return state - step.kept
 
 
 class Cliff(Rosenbrock):
@@ -80,13 +83,13 @@ class Unsolvable(Rosenbrock):
 
 class _Singular:
     def __init__(self, dense):
-        self.dense = dense
+        self.dense, self.cost = dense, dense.cost
 
     def solve(self, damping):
         step = self.dense.solve(damping)
         if len(self.dense.problem.dampings) > self.dense.problem.times:
             return step
-        return Step(0.0 * step.camera, step.point, 0.0 * step.predicted_decrease, torch.tensor(False))
+        return Step(0.0 * step.kept, step.point, 0.0 * step.predicted_decrease, torch.tensor(False))
 
 
 def test_the_minimum_of_rosenbrocks_valley_is_found():
@@ -105,6 +108,15 @@ def test_the_costs_start_with_that_of_the_start_and_never_rise():
     assert report.costs == sorted(report.costs, reverse=True)
     assert len(problem.asked) > len(report.costs)  # some candidates were dropped
     assert report.costs[-1] == min(problem.asked)
+
+
+def test_every_candidate_is_linearised_once_and_none_a_second_time_after_one_is_dropped():
+    problem = Rosenbrock()
+
+    report = minimize(problem, START, EXACT)
+
+    assert len(problem.dampings) == report.iterations
+    assert len(problem.asked) == 1 + report.iterations
 
 
 def test_the_state_returned_is_that_of_the_last_cost():

@@ -1,9 +1,96 @@
 """Robust losses and their weights."""
 
-import torch
-from tolerances import assert_matches
+import math
+from typing import get_args
 
-from torchrefrac.optim import huber
+import pytest
+import torch
+from tolerances import DTYPES, assert_matches
+
+from torchrefrac.optim import LossName, huber, robust
+
+every = pytest.mark.parametrize("loss", get_args(LossName))
+
+
+@every
+def test_the_weight_is_the_derivative(draw, loss):
+    s = draw.power_of_ten(-4.0, 4.0, 200).requires_grad_()
+
+    rho, weight = robust(s, loss, 0.7)
+
+    (gradient,) = torch.autograd.grad(rho.sum(), s)
+    assert_matches(weight, gradient)
+
+
+@every
+def test_far_below_the_scale_the_loss_is_the_square(draw, loss):
+    s = draw.power_of_ten(-12.0, -9.0, 50)
+
+    rho, weight = robust(s, loss, 3.0)
+
+    torch.testing.assert_close(rho, s, rtol=1e-9, atol=0.0)
+    torch.testing.assert_close(weight, torch.ones_like(s), rtol=1e-9, atol=0.0)
+
+
+@every
+def test_the_derivative_at_zero_is_one(loss):
+    s = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+
+    rho, weight = robust(s, loss, 1.0)
+
+    rho.sum().backward()
+    assert rho.tolist() == [0.0]
+    assert s.grad.tolist() == weight.tolist() == [1.0]
+
+
+@every
+def test_the_loss_is_never_more_than_the_square_and_never_falls(draw, loss):
+    s = draw.power_of_ten(-4.0, 6.0, 500).sort().values
+
+    rho, weight = robust(s, loss, 0.7)
+
+    assert (rho <= s).all()
+    assert (rho.diff() >= 0.0).all()
+    assert ((weight >= 0.0) & (weight <= 1.0)).all()
+    assert (weight.diff() <= 0.0).all()
+
+
+@every
+def test_the_scale_has_the_unit_of_the_residual(draw, loss):
+    s = draw.power_of_ten(-3.0, 3.0, 100)
+
+    rho, weight = robust(s * 1e4, loss, 70.0)
+
+    expected, same = robust(s, loss, 0.7)
+    assert_matches(rho / 1e4, expected)
+    assert_matches(weight, same)
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy", "truncated"])
+def test_the_loss_is_continuous_at_the_scale(loss):
+    s = 2.25 * (1.0 + torch.tensor([-1e-12, 1e-12], dtype=torch.float64))
+
+    rho, weight = robust(s, loss, 1.5)
+
+    torch.testing.assert_close(rho[0], rho[1], rtol=1e-11, atol=0.0)
+    if loss != "truncated":
+        torch.testing.assert_close(weight[0], weight[1], rtol=1e-11, atol=0.0)
+
+
+@every
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_the_dtype_and_the_shape_are_kept(loss, dtype):
+    for value in robust(torch.ones(2, 3, dtype=dtype), loss, 0.5):
+        assert (value.dtype, value.shape) == (dtype, (2, 3))
+
+
+def test_squared_is_the_square_whatever_its_size(draw):
+    s = draw.power_of_ten(-4.0, 12.0, 50)
+
+    rho, weight = robust(s, "squared", 0.1)
+
+    assert torch.equal(rho, s)
+    assert (weight == 1.0).all()
 
 
 def test_huber_is_quadratic_inside_and_linear_outside():
@@ -11,29 +98,29 @@ def test_huber_is_quadratic_inside_and_linear_outside():
 
     rho, _ = huber(residual.square(), 2.0)
 
-    expected = torch.where(residual <= 2.0, residual.square(), 2.0 * 2.0 * residual - 4.0)
-    assert_matches(rho, expected)
+    assert_matches(rho, torch.where(residual <= 2.0, residual.square(), 2.0 * 2.0 * residual - 4.0))
 
 
-def test_the_weight_of_huber_is_its_derivative(draw):
-    s = draw.power_of_ten(-4.0, 4.0, 200).requires_grad_()
+def test_huber_by_name_is_huber(draw):
+    s = draw.power_of_ten(-4.0, 4.0, 50)
 
-    rho, weight = huber(s, 0.7)
-
-    (gradient,) = torch.autograd.grad(rho.sum(), s)
-    assert_matches(weight, gradient)
+    for named, direct in zip(robust(s, "huber", 0.3), huber(s, 0.3), strict=True):
+        assert torch.equal(named, direct)
 
 
-def test_huber_and_its_weight_are_continuous_at_the_scale():
-    s = torch.tensor([2.25 * (1.0 - 1e-12), 2.25 * (1.0 + 1e-12)], dtype=torch.float64)
+def test_cauchy_grows_with_the_logarithm_far_out():
+    s = torch.tensor([1e12, 1e16], dtype=torch.float64)
 
-    for value in huber(s, 1.5):
-        torch.testing.assert_close(value[0], value[1], rtol=1e-11, atol=0.0)
+    rho, weight = robust(s, "cauchy", 2.0)
+
+    assert rho.tolist() == pytest.approx([4.0 * math.log(value / 4.0) for value in s.tolist()], rel=1e-11)
+    assert weight.tolist() == pytest.approx([4.0 / value for value in s.tolist()], rel=1e-11)
 
 
-def test_huber_has_a_finite_derivative_at_zero():
-    s = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+def test_truncated_takes_no_notice_of_what_lies_beyond_the_scale():
+    s = torch.tensor([8.9, 9.0, 9.1, 1e9, math.inf], dtype=torch.float64)
 
-    huber(s, 1.0)[0].sum().backward()
+    rho, weight = robust(s, "truncated", 3.0)
 
-    assert s.grad.tolist() == [1.0]
+    assert rho.tolist() == [8.9, 9.0, 9.0, 9.0, 9.0]
+    assert weight.tolist() == [1.0, 1.0, 0.0, 0.0, 0.0]

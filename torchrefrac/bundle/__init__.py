@@ -1,6 +1,7 @@
 """Bundle adjustment: the bridge between scenes and the optimiser. What varies, the priors, the gauge."""
 
 from torchrefrac.bundle.adjust import BundleReport, adjust, adjust_pose
+from torchrefrac.bundle.implicit import adjust_differentiably
 from torchrefrac.bundle.inputs import UnadjustableError, check_inputs
 from torchrefrac.bundle.observability import Determination, determinations
 from torchrefrac.bundle.options import BundleOptions
@@ -37,6 +38,7 @@ __all__ = [
     "Uncertainty",
     "Waterline",
     "adjust",
+    "adjust_differentiably",
     "adjust_pose",
     "check_inputs",
     "determinations",

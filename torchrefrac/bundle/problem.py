@@ -93,6 +93,10 @@ class BundleProblem:
         system = linearize(self.plan, rows, cost, blocks, gauge)
         return Linearized(system, options.reduced_solver, options.iterative, coarse=None)
 
+    def detached(self) -> "BundleProblem":
+        """The same without a graph in the observations."""
+        return replace(self, seen=self.seen.detached(), kept_seen=self.kept_seen.detached())
+
     def with_layout(self, layout: Layout, options: BundleOptions, terms: Sequence[Term]) -> "BundleProblem":
         """The same observations with something else varying of lens and water."""
         plan = self.plan.with_families(layout.families)

@@ -2,7 +2,7 @@
 them in a row of its own."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
@@ -66,12 +66,14 @@ def observation_rows(
     """Rows (2, width + 4, N), weighted, and the cost of the observations, a scalar.
 
     Per observation: derivatives in the pose (rotation, centre), in the lens, in the water, in the point; the residual
-    (projection minus pixel). An impossible observation (behind the camera, say) weighs nothing and costs as much as one
-    that is IMPOSSIBLE_PX off.
+    (projection minus pixel). The loss is of the reprojection error, and weighted as a whole. An impossible observation
+    (behind the camera, say) weighs nothing and costs as much as one that is IMPOSSIBLE_PX off.
     """
     tables = _Tables.of(state, links)
     if compiled:
         rows, rho = _compiled()(model, *tables.gather(seen))
+        if seen.weight is not None:
+            rows, rho = rows * seen.weight.sqrt(), rho * seen.weight
         return rows, 0.5 * rho.sum()
     rows = seen.pixels.new_empty(2, model.width + 4, len(seen))
     cost = seen.pixels.new_zeros(())
@@ -79,8 +81,17 @@ def observation_rows(
         (u, v), rho = _parts(model, *tables.gather(seen[here]))
         torch.stack(u, out=rows[0, :, here])
         torch.stack(v, out=rows[1, :, here])
+        if seen.weight is not None:
+            rows[..., here] *= seen.weight[here].sqrt()
+            rho = rho * seen.weight[here]
         cost = cost + 0.5 * rho.sum()
     return rows, cost
+
+
+def differentiable_rows(model: RowModel, state: BundleState, links: Links, seen: Observations) -> tuple[Tensor, Tensor]:
+    """Derivatives (2, width + 3, N) and residuals (2, N), not weighted, zero where impossible: both with a graph."""
+    rows, _ = _rows(replace(model, loss="squared"), *_Tables.of(state, links).gather(seen))
+    return rows[:, :-1], rows[:, -1]
 
 
 @dataclass(frozen=True)
@@ -144,7 +155,7 @@ def _parts(
     square = torch.addcmul(residual[0] * residual[0], residual[1], residual[1])
     rho, weight = robust(square, model.loss, model.loss_scale)
     impossible, _ = robust(square.new_tensor(IMPOSSIBLE_PX**2), model.loss, model.loss_scale)
-    root = torch.where(valid, weight, 0.0).sqrt()
+    root = torch.where(valid, weight.sqrt(), 0.0)
     axes = []
     for axis in (0, 1):
         parts = [part for name in POSE for part in by[name][axis]]

@@ -15,8 +15,9 @@ class BundleState:
     """Cameras, points, lenses and water.
 
     rotation (m, 3, 3) cam_from_world, center (m, 3), points (n, 3). lens: intrinsics, either one for all images or a
-    batch (G). index_ratio: scalar. normal (E, 3), offset (E): the water planes normal . x = offset, unit normals
-    towards the cameras; by default the one plane z = 0.
+    batch (G), of which parts may have no batch dimension. index_ratio: scalar. normal (E, 3), offset (E): the water
+    planes normal . x = offset, unit normals towards the cameras; by default the one plane z = 0. Raises ValueError for
+    a normal without an offset, or the reverse.
     """
 
     rotation: Tensor
@@ -28,7 +29,12 @@ class BundleState:
     offset: Tensor | None = None
 
     def __post_init__(self) -> None:
-        if self.normal is None or self.offset is None:
+        if (self.normal is None) != (self.offset is None):
+            given, lacking = ("offset", "normal") if self.normal is None else ("normal", "offset")
+            raise ValueError(f"{given} is given without {lacking}, but a water plane needs both")
+        if self.lens.shape:
+            object.__setattr__(self, "lens", _in_full(self.lens))
+        if self.normal is None:
             level = self.center.new_tensor(((0.0, 0.0, 1.0),))
             object.__setattr__(self, "normal", level)
             object.__setattr__(self, "offset", level[:, 0])
@@ -88,14 +94,36 @@ class Links:
 
 @dataclass(frozen=True)
 class Observations:
-    """`pixels` (N, 2) of point `point` (N) in image `camera` (N), in any order, a pair at most once."""
+    """`pixels` (N, 2) of point `point` (N) in image `camera` (N), in any order, a pair at most once.
+
+    weight (N): of each squared residual, 1 by default.
+    """
 
     camera: Tensor
     point: Tensor
     pixels: Tensor
+    weight: Tensor | None = None
 
     def __len__(self) -> int:
         return len(self.camera)
 
     def __getitem__(self, rows: Tensor | slice) -> "Observations":
-        return Observations(self.camera[rows], self.point[rows], self.pixels[rows])
+        weight = None if self.weight is None else self.weight[rows]
+        return Observations(self.camera[rows], self.point[rows], self.pixels[rows], weight)
+
+    @property
+    def weights(self) -> Tensor:
+        """weight, or ones."""
+        return torch.ones_like(self.pixels[:, 0]) if self.weight is None else self.weight
+
+    def detached(self) -> "Observations":
+        """The same without a graph."""
+        weight = None if self.weight is None else self.weight.detach()
+        return replace(self, pixels=self.pixels.detach(), weight=weight)
+
+
+def _in_full(lens: Intrinsics) -> Intrinsics:
+    """With a batch dimension on each part, and no copies."""
+    shape = lens.shape
+    focal, middle = lens.focal.expand(*shape, 2), lens.principal_point.expand(*shape, 2)
+    return replace(lens, focal=focal, principal_point=middle, distortion=lens.distortion.expand(*shape, 5))

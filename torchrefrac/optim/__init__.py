@@ -1,9 +1,10 @@
 """Non-linear least squares for problems of two kinds of blocks; knows no cameras and no scenes."""
 
 from torchrefrac.optim.batched import Quadratic, SmallProblems, SmallReport, covariance_of, minimize_each, solve_damped
-from torchrefrac.optim.covariance import Covariance, SingularError
+from torchrefrac.optim.covariance import Covariance
 from torchrefrac.optim.dense import solve_dense
 from torchrefrac.optim.elimination import Elimination
+from torchrefrac.optim.inverse import GaussNewtonInverse, SingularError
 from torchrefrac.optim.iterative import IterativeOptions, solve_iteratively
 from torchrefrac.optim.levenberg_marquardt import (
     LevenbergMarquardtOptions,
@@ -24,6 +25,7 @@ __all__ = [
     "Covariance",
     "Elimination",
     "Family",
+    "GaussNewtonInverse",
     "IterativeOptions",
     "LevenbergMarquardtOptions",
     "Linearization",

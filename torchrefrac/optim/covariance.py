@@ -14,16 +14,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchrefrac.optim.dense import prepare
 from torchrefrac.optim.elimination import Elimination, Tiles
+from torchrefrac.optim.inverse import GaussNewtonInverse, SingularError
 from torchrefrac.optim.normal_equations import NormalEquations
 from torchrefrac.optim.plan import CAMERA_SIZE, POINT_SIZE, TILE
 
 MAX_COVARIANCE = 12000
-
-
-class SingularError(ArithmeticError):
-    """The normal equations do not determine their unknowns."""
 
 
 @dataclass(frozen=True)
@@ -39,20 +35,14 @@ class Covariance:
         more than MAX_COVARIANCE reduced unknowns, whose dense inverse does not fit."""
         if system.plan.size > MAX_COVARIANCE:
             raise SingularError(f"there are {system.plan.size} unknowns beside the points, more than {MAX_COVARIANCE}")
-        elimination = Elimination(system, 0.0)
-        matrix, _ = elimination.reduced()
-        dead = matrix.diagonal() == 0.0
-        scale, stiffness = prepare(matrix, system.null_space)
-        factor, info = torch.linalg.cholesky_ex(matrix)
-        if int(info):
-            raise SingularError("the normal equations are singular")
-        inverse = torch.cholesky_inverse(factor)
-        inverse.mul_(scale[:, None]).mul_(scale)
+        found = GaussNewtonInverse.of(system)
+        inverse = torch.cholesky_inverse(found.factor)
+        inverse.mul_(found.scale[:, None]).mul_(found.scale)
         if system.null_space is not None:
-            inverse.addmm_(system.null_space / stiffness, system.null_space.T, alpha=-1.0)
-        inverse[dead] = 0.0
-        inverse[:, dead] = 0.0
-        return cls(elimination, inverse)
+            inverse.addmm_(system.null_space / found.stiffness, system.null_space.T, alpha=-1.0)
+        inverse[found.dead] = 0.0
+        inverse[:, found.dead] = 0.0
+        return cls(found.elimination, inverse)
 
     def points(self) -> Tensor:
         """Of the points that were eliminated: (n, 3, 3)."""

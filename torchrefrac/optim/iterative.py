@@ -25,7 +25,11 @@ class IterativeOptions:
 def solve_iteratively(
     elimination: Elimination, coarse: Tensor | None, options: IterativeOptions
 ) -> tuple[Tensor, Tensor]:
-    """Step (size) of the damped reduced system, and whether it is one; coarse (size, c): directions taken exactly."""
+    """Step (size) of the damped reduced system, and whether there is one; zero where there is not.
+
+    coarse (size, c): directions taken exactly. A search that ends early, for want of iterations or because the system
+    turns out not to be positive definite, has a step that lowers the quadratic model, if only a part of the way.
+    """
     system, damping = elimination.system, elimination.damping
     dead = system.diagonal == 0.0
     lift = torch.where(dead, 1.0, damping * system.diagonal)
@@ -45,12 +49,15 @@ def solve_iteratively(
             break
         along = times(direction)
         bend = direction @ along
-        length = torch.where(bend > 0.0, size / bend, 0.0)
+        if not bool(bend > 0.0):
+            break
+        length = size / bend
         x, residual = x + length * direction, residual - length * along
         z = precondition(residual)
         before, size = size, residual @ z
         direction = z + (size / before) * direction
-    return x, x.isfinite().all()
+    solved = x.isfinite().all() & (x.any() | ~right.any())
+    return torch.where(solved, x, 0.0), solved
 
 
 def _preconditioner(elimination: Elimination, lift: Tensor, coarse: Tensor | None, times):
@@ -66,9 +73,12 @@ def _preconditioner(elimination: Elimination, lift: Tensor, coarse: Tensor | Non
     shared[first:] = torch.eye(plan.size - first, dtype=lift.dtype, device=lift.device)
     basis = torch.cat((coarse, shared), dim=1)
     if basis.shape[1]:
-        basis = torch.linalg.qr(basis).Q
+        root = (system.diagonal + lift).sqrt()[:, None]  # in units in which B has a unit diagonal
+        basis = torch.linalg.qr(basis * root).Q / root
         image = torch.stack([times(column) for column in basis.T], dim=1)
-        small = torch.linalg.pinv(basis.T @ image, hermitian=True)
+        values, vectors = torch.linalg.eigh(torch.nan_to_num(basis.T @ image, 0.0, 0.0, 0.0))
+        rounding = len(values) * torch.finfo(values.dtype).eps
+        small = vectors * torch.where(values > rounding, values.reciprocal(), 0.0) @ vectors.T
 
     def apply(x: Tensor) -> Tensor:
         cameras = torch.cholesky_solve(x[:first].view(-1, CAMERA_SIZE, 1), factor).flatten()

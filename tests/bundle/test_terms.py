@@ -1,0 +1,224 @@
+"""Measurements besides the pixels: residuals by their definition, derivatives by autograd."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from bundle_oracles import jacobian_of, moved, num_unknowns
+from tolerances import assert_matches
+
+from torchrefrac.bundle import (
+    CenterPrior,
+    Expectations,
+    GravityPrior,
+    HeightPrior,
+    KnownPoints,
+    ScaleBars,
+    Waterline,
+)
+from torchrefrac.bundle.layout import WATER_WIDTH
+from torchrefrac.bundle.rows import LENS
+from torchrefrac.bundle.terms import GlobalPrior, concerned_points
+
+LENS_NAMES = ("focal", "principal_point", "distortion")
+WATER = tuple(WATER_WIDTH)
+TWO = torch.tensor((2, 0))
+SIGMA = torch.tensor((0.5, 2.0), dtype=torch.float64)
+MEASURED = ("gravity", "gravity of some", "centre", "height", "known points", "scale bars", "waterline")
+every_measurement = pytest.mark.parametrize("name", MEASURED)
+
+
+@pytest.fixture
+def measure(draw):
+    """`measure(name, planted)`: that measurement of the planted scene with an error, its definition as a function of
+    the state and how often it varies."""
+
+    def make(name, planted):
+        truth, error = planted.truth, draw.normal(2)
+        spread = draw.normal(2, 3, 3)
+        information = spread @ spread.mT + torch.eye(3, dtype=torch.float64)
+        position = draw.normal(2, 3)
+        down, some = (
+            planted.down_in_cam,
+            torch.nn.functional.normalize(planted.down_in_cam[TWO] + 0.1 * position, dim=1),
+        )
+        one = torch.tensor((4, 9)), torch.tensor((9, 1))
+        world_down = torch.tensor((0.0, 0.0, -1.0), dtype=torch.float64)
+        on = planted.links.plane[TWO]
+
+        def above(state, places, plane):
+            return (places * state.planes[0][plane]).sum(dim=1) - state.planes[1][plane]
+
+        return (
+            {
+                "gravity": (GravityPrior(down, 0.02), lambda s: (s.rotation @ world_down - down) / 0.02),
+                "gravity of some": (
+                    GravityPrior(some, SIGMA, TWO),
+                    lambda s: (s.rotation[TWO] @ world_down - some) / SIGMA[:, None],
+                ),
+                "centre": (CenterPrior(TWO, position, information), lambda s: s.center[TWO] - position),
+                "height": (
+                    HeightPrior(TWO, 30.0 + error, SIGMA),
+                    lambda s: (above(s, s.center[TWO], on) - 30.0 - error) / SIGMA,
+                ),
+                "known points": (KnownPoints(TWO, position, information), lambda s: s.points[TWO] - position),
+                "scale bars": (
+                    ScaleBars(*one, 20.0 + error, SIGMA),
+                    lambda s: ((s.points[one[0]] - s.points[one[1]]).norm(dim=1) - 20.0 - error) / SIGMA,
+                ),
+                "waterline": (Waterline(TWO, on, SIGMA), lambda s: above(s, s.points[TWO], on) / SIGMA),
+            }[name],
+            information,
+            truth,
+        )
+
+    return make
+
+
+@every_measurement
+def test_the_residuals_are_those_of_the_definition_in_standard_deviations(plant, disturb, measure, name):
+    planted = plant(lenses=2, planes=2)
+    (term, definition), information, _ = measure(name, planted)
+    layout, state = planted.layout(WATER, terms=[term]), disturb(planted.truth)
+
+    value = term.residuals(state, layout).value
+
+    if name in ("centre", "known points"):
+        off = definition(state)
+        expected = torch.einsum("ki,kij,kj->k", off, information, off)
+        assert_matches(value.square().sum(dim=1), expected, slack=10.0)
+    else:
+        assert_matches(value.flatten(), definition(state).flatten(), slack=100.0)
+
+
+@every_measurement
+@pytest.mark.parametrize("water", [WATER, ("plane_height",), ()], ids=["free water", "free level", "fixed water"])
+def test_the_derivatives_are_those_of_autograd_through_the_retraction(plant, disturb, measure, name, water):
+    planted = plant(lenses=2, planes=2)
+    (term, _), *_ = measure(name, planted)
+
+    _assert_jacobian_of_autograd(planted, term, disturb(planted.truth), (*LENS_NAMES, *water))
+
+
+@every_measurement
+def test_what_is_held_has_no_derivative(plant, measure, name):
+    planted = plant(planes=2)
+    (term, _), *_ = measure(name, planted)
+    held = torch.zeros(4, 6, dtype=torch.bool)
+    held[0], held[2, 1], held[2, 5] = True, True, True
+
+    _assert_jacobian_of_autograd(planted, term, planted.truth, WATER, held)
+
+
+@pytest.mark.parametrize("name", [*LENS, *WATER])
+@pytest.mark.parametrize(("lenses", "planes"), [(1, 1), (2, 2)], ids=["one lens", "two lenses and waters"])
+def test_the_derivatives_of_what_is_expected_are_those_of_autograd(plant, draw, name, lenses, planes):
+    planted = plant(lenses=lenses, planes=planes)
+    refine = ("radial" if name == "radial" else "distortion", "focal", "principal_point", *WATER)
+    layout = planted.layout(refine)
+    state = moved(layout, planted.truth, 0.05 * draw.normal(num_unknowns(layout)))
+
+    _assert_jacobian_of_autograd(planted, GlobalPrior(name, planted.truth, 0.3), state, refine)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("focal", 0.05),
+        ("principal_point", 7.0),
+        ("radial", 0.02),
+        ("distortion", 0.02),
+        ("index_ratio", 0.01),
+        ("plane_tilt", 0.03),
+        ("plane_height", 2.5),
+    ],
+)
+def test_what_is_expected_counts_how_many_standard_deviations_the_start_is_away(plant, name, expected):
+    """Each changed by `expected`, which is also its standard deviation: relative, in pixels, radians or centimetres."""
+    planted = plant(lenses=2, planes=2)
+    truth, layout = (
+        planted.truth,
+        planted.layout(("radial" if name == "radial" else "distortion", "focal", "principal_point", *WATER)),
+    )
+    step = torch.zeros(num_unknowns(layout), dtype=torch.float64)
+    both = torch.arange(2)
+    if name in LENS:
+        columns = layout.lens_columns(name, both)
+    elif name == "index_ratio":
+        columns = torch.tensor([layout.index_column()])
+    else:
+        columns = layout.plane_columns(both)[:, :1] if name == "plane_tilt" else layout.plane_columns(both)[:, 2:]
+    step[columns] = expected
+
+    value = GlobalPrior(name, truth, expected).residuals(moved(layout, truth, step), layout).value
+
+    counted = value[..., 0] if name == "plane_tilt" else value
+    torch.testing.assert_close(counted, torch.ones_like(counted), rtol=1e-3, atol=0.0)
+    assert name != "plane_tilt" or value[..., 1].abs().amax() < 1e-12
+
+
+def test_the_standard_deviation_of_each_kind_of_unknown_is_that_of_its_field():
+    expected = Expectations(0.1, 2.0, 0.03, 0.004, 3.0, 0.6)
+
+    sigmas = {name: expected.sigma_of(name) for name in (*LENS, *WATER)}
+
+    tilt = sigmas.pop("plane_tilt")
+    assert sigmas == {
+        "focal": 0.1,
+        "principal_point": 2.0,
+        "radial": 0.03,
+        "distortion": 0.03,
+        "index_ratio": 0.004,
+        "plane_height": 0.6,
+    }
+    assert tilt == pytest.approx(3.0 * torch.pi / 180.0)
+
+
+@pytest.mark.parametrize("name", [*LENS, *WATER])
+def test_nothing_is_expected_of_what_is_not_named(name):
+    assert Expectations().sigma_of(name) is None
+
+
+def test_points_that_measurements_concern_are_those_of_marks_bars_and_waterlines(plant):
+    planted = plant(points=9)
+    one = torch.ones(1, dtype=torch.float64)
+    index = {k: torch.tensor([k]) for k in (1, 4, 5, 8)}
+    terms = [
+        planted.gravity,
+        HeightPrior(index[1], 30.0 * one, one),
+        KnownPoints(index[4], planted.truth.points[4:5], torch.eye(3, dtype=torch.float64)[None]),
+        ScaleBars(index[5], index[4], one, one),
+        Waterline(index[8], torch.zeros(1, dtype=torch.long), one),
+    ]
+
+    mask = concerned_points(terms, 9, planted.truth.points)
+
+    assert mask.nonzero()[:, 0].tolist() == [4, 5, 8]
+    assert concerned_points(terms[:2], 9, planted.truth.points) is None
+
+
+def test_a_bar_of_no_length_is_finite(plant):
+    planted = plant()
+    one = torch.ones(1, dtype=torch.float64)
+    term = ScaleBars(torch.tensor([3]), torch.tensor([4]), one, one)
+    points = planted.truth.points.clone()
+    points[3] = points[4]
+
+    residuals = term.residuals(replace(planted.truth, points=points), planted.layout(terms=[term]))
+
+    assert residuals.value.tolist() == [[-1.0]]
+    assert residuals.jacobian.isfinite().all()
+
+
+def _assert_jacobian_of_autograd(planted, term, state, refine, held=None):
+    layout = planted.layout(refine, terms=[term], held=held)
+
+    value, jacobian, columns = term.residuals(state, layout)
+
+    width = num_unknowns(layout)
+    across = torch.zeros(len(value), value.shape[1], max(layout.size, width) + 1, dtype=torch.float64)
+    across.scatter_add_(2, columns[:, None].expand_as(jacobian), jacobian)
+    across[..., layout.size] = 0.0  # what is held, whose column is the first point's
+    expected = jacobian_of(lambda at: term.residuals(at, layout).value.flatten(), layout, state)
+    size = expected.abs().amax().clamp(min=1.0)
+    assert_matches(across.flatten(0, 1)[:, :width] / size, expected / size, slack=100.0)
