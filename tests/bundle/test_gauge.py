@@ -95,7 +95,7 @@ CASES = {
     "one known point in air": (AIR, 4, {"terms": [lambda t: _points(t, 9)]}),
     "three known points in air": (AIR, 0, {"terms": [lambda t: _points(t, 9, 8, 4)]}),
     "a held camera in air": (AIR, 1, {"held": (slice(0, 1), slice(None))}),
-    "a height in air": (AIR, 3, {"terms": [_height]}),
+    "a height in air": (AIR, 6, {"terms": [_height]}),
 }
 
 
@@ -133,14 +133,13 @@ def test_the_gauge_is_the_null_space_of_all_derivatives_at_a_perfect_state(case_
         torch.testing.assert_close(actual, expected, rtol=0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", ["a known water", "a free water and gravity", "air", "a bar in air"])
 def test_the_directions_are_orthonormal(case_of, name):
     planted, problem = case_of(name)
 
     gauge = problem.linearize(planted.truth).system.null_space
 
-    if gauge is not None:
-        assert_matches(gauge.T @ gauge, torch.eye(gauge.shape[1], dtype=torch.float64), slack=10.0)
+    assert_matches(gauge.T @ gauge, torch.eye(gauge.shape[1], dtype=torch.float64), slack=10.0)
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -8,9 +8,10 @@ import torch
 from camera_scenes import COUNT, INTERFACES, PLACES, at_every_place, for_every_interface, scene
 from tolerances import assert_matches
 
-from torchrefrac.camera import ProjectionJacobians, RefractiveCamera
+from torchrefrac.camera import ProjectionJacobians, RefractiveCamera, projection_parts
+from torchrefrac.camera.jacobians import BLOCKS
 from torchrefrac.geometry import Plane, so3_exp
-from torchrefrac.refraction import FlatInterface
+from torchrefrac.refraction import FlatInterface, lift_points
 
 SLACK = 10.0  # a relative error of 1e-12
 
@@ -219,6 +220,80 @@ def test_gradients_of_valid_points_survive_beside_points_that_are_not(view):
     assert (points.grad[2:] != 0).all()
 
 
+@for_every_interface
+@at_every_place
+def test_the_parts_are_the_blocks_before_they_are_stacked(draw, lens, name, place):
+    camera, points = scene(draw, lens, name, place)
+
+    pixels, valid, blocks = _parts_of(camera, points)
+
+    expected, jacobians, expected_valid = camera.project_with_jacobians(points)
+    assert_matches(pixels, expected)
+    assert torch.equal(valid, expected_valid)
+    for block in (*BLOCKS, "principal_point"):
+        part = blocks[block][..., 0] if block == "plane_height" else blocks[block]
+        assert_matches(part, getattr(jacobians, block))
+
+
+@for_every_interface
+def test_parts_that_are_not_wanted_change_none_that_are(draw, lens, name):
+    camera, points = scene(draw, lens, name, "ordinary")
+    _, _, everything = _parts_of(camera, points)
+
+    for block in BLOCKS:
+        _, _, alone = _parts_of(camera, points, wanted=(block,))
+
+        assert torch.equal(alone[block], everything[block]), block
+
+
+@pytest.mark.parametrize("name", ["water", "tilted water"])
+@pytest.mark.parametrize("place", ["ordinary", "nadir", "land"])
+def test_with_the_refrax_ratio_frozen_the_parts_are_those_of_autograd_with_a_constant_ratio(draw, lens, name, place):
+    camera, points = scene(draw, lens, name, place)
+    project, parameters = _by_parameters(camera, points, with_frozen_ratio=True)
+    pixels = project(*parameters)
+
+    at, _, blocks = _parts_of(camera, points, frozen_ratio=True)
+
+    assert_matches(at, pixels.detach(), slack=10.0)
+    for axis in range(2):
+        gradients = torch.autograd.grad(pixels[:, axis].sum(), parameters, retain_graph=True, materialize_grads=True)
+        for block, gradient in zip(ProjectionJacobians._fields, gradients, strict=True):
+            size = gradient.abs().amax().clamp(min=1.0)
+            actual = blocks[block][:, axis].reshape(gradient.shape)
+            assert_matches(actual / size, gradient / size, slack=SLACK)
+
+
+def test_with_the_refrax_ratio_frozen_depth_and_index_have_no_derivative_under_water_and_land_is_exact(draw, lens):
+    below, above = scene(draw, lens, "water", "ordinary"), scene(draw, lens, "water", "land")
+
+    frozen, exact = (_parts_of(*below, frozen_ratio=value)[2] for value in (True, False))
+
+    assert torch.equal(frozen["indices"], torch.zeros_like(frozen["indices"]))
+    assert frozen["point"][..., 2].abs().amax() < 1e-12 * exact["point"][..., 2].abs().amax()
+    on_land, straight = (_parts_of(*above, frozen_ratio=value)[2] for value in (True, False))
+    assert all(torch.equal(on_land[block], straight[block]) for block in on_land)
+
+
+def _parts_of(camera, points, frozen_ratio=False, wanted=BLOCKS):
+    """`projection_parts` with its numbers stacked as `project_with_jacobians` gives them."""
+    pixel, valid, by = projection_parts(
+        camera.intrinsics,
+        camera.cam_from_world_rotation,
+        camera.center_in_world,
+        points,
+        camera.interface,
+        wanted,
+        frozen_ratio,
+    )
+    blocks = {
+        name: torch.stack([torch.stack(tuple(axis), dim=-1) for axis in axes], dim=-2)
+        for name, axes in by.items()
+        if len(axes[0])  # of a block that was not wanted there may be nothing
+    }
+    return torch.stack(pixel, dim=-1), valid, blocks
+
+
 def _assert_jacobians_of_autograd(camera, points, slack):
     project, parameters = _by_parameters(camera, points)
     pixels = project(*parameters)
@@ -234,8 +309,11 @@ def _assert_jacobians_of_autograd(camera, points, slack):
             assert_matches(block[:, axis] / size, gradient / size, slack=slack)
 
 
-def _by_parameters(camera, points):
-    """The projection as a function of what `ProjectionJacobians` differentiates in, and where it is evaluated."""
+def _by_parameters(camera, points, with_frozen_ratio=False):
+    """The projection as a function of what `ProjectionJacobians` differentiates in, and where it is evaluated.
+
+    with_frozen_ratio: the refrax is q = c + lambda (p - c) along the water (paper, Eq. 5), lambda a constant (Eq. 21).
+    """
     lens, interface = camera.intrinsics, camera.interface
     first, *others = (torch.as_tensor(index, dtype=torch.float64).expand(COUNT) for index in interface.indices)
     plane = Plane(interface.plane.normal_like(points), interface.plane.offset)
@@ -250,6 +328,9 @@ def _by_parameters(camera, points):
             media = replace(interface, index_ratio=None, layers=layers, plane=plane.moved(tilt, height))
         eye = replace(lens, focal=focal, principal_point=principal_point, distortion=distortion)
         rotation = so3_exp(turn) @ camera.cam_from_world_rotation
+        if with_frozen_ratio:
+            refrax = _refrax_of_frozen_ratio(center, point, media)
+            return RefractiveCamera(eye, rotation, center, FlatInterface(1.0)).project(refrax)[0]
         return RefractiveCamera(eye, rotation, center, media).project(point)[0]
 
     values = (
@@ -267,6 +348,17 @@ def _by_parameters(camera, points):
     return project, [
         value.expand(COUNT, *size).clone().requires_grad_() for value, size in zip(values, sizes, strict=True)
     ]
+
+
+def _refrax_of_frozen_ratio(center, point, water):
+    """Where the ray (*B) meets the water; on land the point itself."""
+    normal, height = water.plane.normal_like(point), water.plane.signed_distance(center)
+    offset = point - center
+    along = (offset * normal).sum(dim=-1, keepdim=True)
+    apparent, _ = lift_points(center, point, water)
+    ratio = (height / -(apparent * normal).sum(dim=-1)).detach()[:, None]
+    refrax = center + ratio * (offset - along * normal) - height[:, None] * normal
+    return torch.where(water.plane.signed_distance(point)[:, None] > 0.0, point, refrax)
 
 
 def _lacks_refraction(name):

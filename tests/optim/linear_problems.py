@@ -1,4 +1,4 @@
-"""Linear least-squares problems of cameras, points and shared unknowns, and their full normal equations as an oracle."""
+"""Linear least-squares problems of cameras, points and shared unknowns, and their full normal equations: an oracle."""
 
 from dataclasses import dataclass, replace
 
@@ -19,8 +19,8 @@ class Term:
 
 @dataclass(frozen=True)
 class Linear:
-    """Observations of `point` (N) by `camera` (N) with residual (N, 2), derivatives by_kept (N, 2, w) in what the camera
-    depends on, by_point (N, 2, 3), and weight (N)."""
+    """Observations of `point` (N) by `camera` (N): residual (N, 2), derivatives by_kept (N, 2, w) in the unknowns of
+    the camera and of its families and by_point (N, 2, 3), and weight (N)."""
 
     camera: Tensor
     point: Tensor
@@ -52,7 +52,7 @@ class Linear:
         plan = self.plan(locality)
         rows = torch.cat((self.by_kept, self.by_point, self.residual[..., None]), dim=-1)
         rows = (rows * self.weight.sqrt()[:, None, None]).permute(1, 2, 0)[..., plan.order]
-        blocks = [Blocks.of_rows(*(term.columns, term.jacobian, term.residual)) for term in self.terms]
+        blocks = [Blocks.of_rows(term.columns, term.jacobian, term.residual) for term in self.terms]
         return linearize(plan, rows.contiguous(), self.cost, blocks, null_space)
 
     def step(self, damping: float, null_space: Tensor | None = None) -> Step:
@@ -84,7 +84,7 @@ class Linear:
             jacobian.append(self.weight[k].sqrt() * row)
             residual.append(self.weight[k].sqrt() * self.residual[k])
         for term in self.terms:
-            for columns, by, value in zip(*(term.columns.tolist(), term.jacobian, term.residual), strict=True):
+            for columns, by, value in zip(term.columns.tolist(), term.jacobian, term.residual, strict=True):
                 row = torch.zeros(len(value), width, dtype=torch.float64)
                 row[:, [-1 if column == self.size else column for column in columns]] = by
                 jacobian.append(row)
@@ -108,8 +108,8 @@ class Linear:
 
 @dataclass(frozen=True)
 class DenseElimination:
-    """The blocks of the damped Hessian [B E; E^T V], the damped inverse of V (zero for points that nobody sees), and the
-    gradients of what is kept and of the points."""
+    """Of the Hessian [B E; E^T V]: B, undamped, E, and the inverse of the damped V (zero for points that nobody sees);
+    and the gradients in what is kept and in the points."""
 
     b: Tensor
     e: Tensor
@@ -119,7 +119,6 @@ class DenseElimination:
 
     @classmethod
     def of(cls, linear: Linear, damping: float) -> "DenseElimination":
-        """B is left undamped."""
         hessian, gradient = linear.dense()
         k = linear.size
         v = hessian[k:, k:] + damping * torch.diag(hessian.diagonal()[k:])
@@ -148,11 +147,9 @@ def of_points(elimination: Elimination, at: Tensor) -> Tensor:
 
 def with_gauge(linear: Linear, draw) -> tuple[Linear, Tensor]:
     """The same observations made blind to four random directions, and an orthonormal basis (size, 4) of these."""
-    size, cameras = linear.size, linear.num_cameras
-    kept, points = draw.normal(size, 4), draw.normal(linear.num_points, 3, 4)
+    kept, points = draw.normal(linear.size, 4), draw.normal(linear.num_points, 3, 4)
     local = torch.cat((kept[linear.plan().columns[linear.camera]], points[linear.point]), dim=1)
     basis = torch.linalg.qr(local).Q
     rows = torch.cat((linear.by_kept, linear.by_point), dim=-1)
     rows = rows - (rows @ basis) @ basis.mT
-    assert cameras == int(linear.camera.max()) + 1
     return replace(linear, by_kept=rows[..., :-3], by_point=rows[..., -3:]), torch.linalg.qr(kept).Q

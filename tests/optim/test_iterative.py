@@ -6,7 +6,7 @@ import pytest
 import torch
 from linear_problems import DenseElimination, flat, with_gauge
 
-from torchrefrac.optim import Elimination, IterativeOptions, Linearized, solve_dense, solve_iteratively
+from torchrefrac.optim import Blocks, Elimination, IterativeOptions, Linearized, solve_dense, solve_iteratively
 
 SHAPES = [
     {},
@@ -132,15 +132,57 @@ def test_a_gauge_leaves_a_step_that_satisfies_the_normal_equations(make_linear, 
     assert (damped @ flat(step) + gradient).norm() < 1e-6 * gradient.norm()
 
 
-def test_a_system_that_is_not_positive_definite_is_not_solved(make_linear):
-    """Terms whose Hessian is below zero by far."""
-    linear = make_linear(extra=3)
+@pytest.mark.parametrize("families", [(), ((2, 1),)], ids=str)
+def test_a_system_with_a_direction_of_negative_curvature_has_a_step_that_still_goes_down(make_linear, families):
+    linear = make_linear(cameras=9, points=150, pairs=500, families=families)
     system = linear.system()
-    first, *terms = system.blocks
-    negative = [term._replace(hessian=-1e3 * term.hessian) for term in terms]
-    elimination = Elimination(replace(system, blocks=(first, *negative)), 1e-4)
+    matrix, gradient = Elimination(system, 0.0).reduced()
+    matrix = matrix.tril() + matrix.tril(-1).T
+    bend = -1.05 * torch.linalg.eigvalsh(matrix)[0] * torch.eye(linear.size, dtype=torch.float64)
+    everything = Blocks(torch.arange(linear.size)[None], bend[None], torch.zeros(1, linear.size, dtype=torch.float64))
+    elimination = Elimination(replace(system, blocks=(*system.blocks, everything)), 0.0)
+
+    decreases = []
+    for iterations in (1, 3, 200):
+        x, solved = solve_iteratively(elimination, None, IterativeOptions(1e-12, iterations))
+        assert solved
+        decreases.append(float(-(gradient @ x) - 0.5 * (x @ (matrix + bend) @ x)))
+
+    assert 0.0 < decreases[0] <= decreases[1] <= decreases[2]
+
+
+@pytest.mark.parametrize("families", [(), ((2, 1),)], ids=str)
+def test_a_system_in_which_nothing_goes_down_is_not_solved(make_linear, families):
+    """Its Hessian is negative in every direction."""
+    linear = make_linear(families=families)
+    system = linear.system()
+    below = [block._replace(hessian=-block.hessian) for block in system.blocks]
+    elimination = Elimination(replace(system, blocks=tuple(below)), 1e-4)
 
     solution, solved = solve_iteratively(elimination, None, IterativeOptions())
 
-    assert solution.isfinite().all()
     assert not solved
+    assert not solution.any()
+
+
+def test_a_step_of_zero_is_called_a_solution_only_where_nothing_pulls(make_linear):
+    """Camera 4 sees one point alone, and nothing is damped: rounding decides how the search ends."""
+    for _ in range(40):
+        linear = make_linear()
+        others = linear.camera != 4
+        once = (~others).nonzero()[0, 0]
+        elimination = Elimination(linear.where(others | (torch.arange(45) == once)).system(), 0.0)
+
+        solution, solved = solve_iteratively(elimination, None, IterativeOptions())
+
+        assert solution.isfinite().all()
+        assert bool(solved) == bool(solution.any())
+
+
+def test_at_the_minimum_the_step_is_zero_and_solved(make_linear):
+    linear = make_linear(families=[(2, 1)])
+
+    step = Linearized(replace(linear, residual=torch.zeros_like(linear.residual)).system(), "iterative").solve(1e-4)
+
+    assert step.solved
+    assert not flat(step).any()

@@ -10,7 +10,7 @@ import torch
 from tolerances import assert_matches
 from torch import Tensor
 
-from torchrefrac.bundle import BundleOptions, BundleState, GravityPrior, adjust
+from torchrefrac.bundle import BundleOptions, BundleState, GravityPrior, Observations, adjust
 from torchrefrac.geometry import heading_rotation, level_rotation, rotate, so3_exp
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.refinement import TwoViews, tilt_and_heading
@@ -227,15 +227,14 @@ def test_it_is_the_bundle_adjustment_of_both_cameras_and_all_points(make_planted
 
     point, camera = torch.arange(150).repeat_interleave(2), torch.arange(2).repeat(150)
     report = adjust(
-        BundleState(basin.rotation, basin.center, basin.points, basin.lens),
-        camera,
-        point,
-        planted.pixels[camera, point],
-        views.index_ratio,
+        BundleState(basin.rotation, basin.center, basin.points, basin.lens, views.index_ratio),
+        Observations(camera, point, planted.pixels[camera, point]),
         BundleOptions(
-            loss_scale=1e9, pixel_sigma=PIXEL_SIGMA, solver=LevenbergMarquardtOptions(200, function_tolerance=1e-14)
+            loss="squared",
+            pixel_sigma=PIXEL_SIGMA,
+            solver=LevenbergMarquardtOptions(200, function_tolerance=1e-14),
         ),
-        GravityPrior(-views.cam_from_level[..., 2], GRAVITY_SIGMA),
+        terms=[GravityPrior(-views.cam_from_level[..., 2], GRAVITY_SIGMA)],
     )
     adjusted = _model(views.cam_from_level, report.state.rotation, report.state.center)
 

@@ -10,7 +10,7 @@ from torchrefrac.geometry import so3_exp
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.sfm.adjustment import adjust_model
 
-OPTIONS = BundleOptions(loss_scale=1e9, solver=LevenbergMarquardtOptions(function_tolerance=1e-14))
+OPTIONS = BundleOptions(loss="squared", solver=LevenbergMarquardtOptions(function_tolerance=1e-14))
 
 
 @pytest.fixture

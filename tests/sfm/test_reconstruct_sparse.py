@@ -183,7 +183,7 @@ def test_the_radial_terms_of_a_wrong_lens_are_refined_on_request(survey_of, reco
     survey = survey_of(points=200, noise=0.05, distortion=(-0.05, 0.02, 0.0, 0.0, 0.0))
     wrong = replace(survey.capture.intrinsics, distortion=survey.capture.intrinsics.distortion * 0.8)
     survey = replace(survey, capture=replace(survey.capture, intrinsics=wrong))
-    refine = replace(OPTIONS, bundle=replace(OPTIONS.bundle, refine_radial=True))
+    refine = replace(OPTIONS, bundle=replace(OPTIONS.bundle, refine=("radial",)))
 
     kept, refined = reconstruct(survey), reconstruct(survey, refine)
 

@@ -71,7 +71,8 @@ def gauge_directions(state: BundleState, layout: Layout, residuals: Sequence[Res
         basis = basis @ directions.T[:, unseen]
     if basis.shape[1] == 0:
         return None
-    return torch.linalg.qr(motions / scale @ basis).Q
+    moves = (motions != 0.0).any(dim=1, keepdim=True)
+    return torch.where(moves, torch.linalg.qr(motions / scale @ basis).Q, 0.0)  # what is held gets no rounding error
 
 
 def _turned(axis: Tensor, vectors: Tensor) -> Tensor:

@@ -9,7 +9,6 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from torchrefrac.bundle.state import BundleState, Links, Observations
-from torchrefrac.checks import require
 
 SHOWN = 4
 
@@ -30,8 +29,7 @@ def check_inputs(
     points connects to the rest (unless their poses are held). names (m): of the images, for the messages.
     """
     told = tuple(f"camera {i}" for i in range(len(state.center))) if names is None else tuple(names)
-    for name in ("rotation", "center", "points", "index_ratio"):
-        require(getattr(state, name), name)
+    _check_finite(state)
     m, n = len(state.center), len(state.points)
     camera, point = observations.camera, observations.point
     for name, ids, count in (("camera", camera, m), ("point", point, n)):
@@ -55,6 +53,16 @@ def check_inputs(
         where = _listed([str(i) for i in lonely[:SHOWN].tolist()], len(lonely))
         raise UnadjustableError(f"seen by fewer than two images: point {where}; leave such points out")
     _check_connected(camera, point, m, n, held, told)
+
+
+def _check_finite(state: BundleState) -> None:
+    values = {
+        name: getattr(state, name) for name in ("rotation", "center", "points", "index_ratio", "normal", "offset")
+    }
+    values |= {f"lens.{name}": getattr(state.lens, name) for name in ("focal", "principal_point", "distortion")}
+    for name, value in values.items():
+        if not bool(value.isfinite().all()):
+            raise UnadjustableError(f"state.{name} is not finite")
 
 
 def _check_connected(camera: Tensor, point: Tensor, m: int, n: int, held: Tensor | None, names: Sequence[str]) -> None:

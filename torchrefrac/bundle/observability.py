@@ -78,7 +78,7 @@ def determinations(problem: BundleProblem, state: BundleState, pixel_sigma: floa
     asked = problem.with_layout(layout, options, [*problem.terms, *vague])
     system = asked.linearize(state).system
     found = Covariance.of(system)
-    dead = torch.nn.functional.pad(system.diagonal == 0.0, (0, 1), value=True)
+    dead = torch.nn.functional.pad(system.dead, (0, 1), value=True)
     gauge = system.null_space
     motions, _ = similarity_motions(state, layout)
     expected = problem.options.expected
@@ -89,7 +89,7 @@ def determinations(problem: BundleProblem, state: BundleState, pixel_sigma: floa
             return math.inf
         functional = motions.new_zeros(layout.size)
         functional[column] = 1.0
-        return pixel_sigma * _deviation(found.kept, _against_cameras(functional, gauge, layout))
+        return pixel_sigma * _deviation(found.kept, _against_cameras(functional, motions, layout))
 
     result = []
     for name in layout.lens:
@@ -109,13 +109,14 @@ def _judged(name: str, sigma: float, unit: float, prior: float | None) -> Determ
     return Determination(name, math.inf if beyond else sigma * unit, None if prior is None else prior * unit)
 
 
-def _against_cameras(functional: Tensor, gauge: Tensor | None, layout: Layout) -> Tensor:
-    """`functional` (size) of a scene whose cameras, as a whole, stay where they are: Baarda's S-transformation."""
-    if gauge is None:
-        return functional
-    cameras = gauge.clone()
+def _against_cameras(functional: Tensor, motions: Tensor, layout: Layout) -> Tensor:
+    """`functional` (size) of a scene that is moved so that its cameras, as a whole, stay where they are: Baarda's
+    S-transformation. Similarities (size, 7) do not change what it gives."""
+    basis = torch.linalg.qr(motions).Q
+    cameras = basis.clone()
     cameras[6 * layout.num_cameras :] = 0.0
-    return functional - cameras @ torch.linalg.lstsq(gauge.T @ cameras, (gauge.T @ functional)[:, None]).solution[:, 0]
+    moved = torch.linalg.lstsq(basis.T @ cameras, (basis.T @ functional)[:, None]).solution[:, 0]
+    return functional - cameras @ moved
 
 
 def _scale_deviation(kept: Tensor, motions: Tensor, gauge: Tensor | None, layout: Layout) -> float:

@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 from torchrefrac.optim.elimination import Elimination
+from torchrefrac.optim.normal_equations import NormalEquations
 
 
 def solve_dense(elimination: Elimination) -> tuple[Tensor, Tensor]:
@@ -14,22 +15,23 @@ def solve_dense(elimination: Elimination) -> tuple[Tensor, Tensor]:
     system = elimination.system
     matrix, negative = elimination.reduced()
     matrix.diagonal().add_(elimination.damping * system.diagonal)
-    scale, _ = prepare(matrix, system.null_space)
+    scale, _ = prepare(matrix, system)
     factor, info = torch.linalg.cholesky_ex(matrix)
     solution = -torch.cholesky_solve((negative * scale)[:, None], factor)[:, 0] * scale
     solved = (info == 0) & solution.isfinite().all()
     return torch.where(solved, solution, 0.0), solved
 
 
-def prepare(matrix: Tensor, null_space: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Make a reduced matrix one that has a Cholesky factor, in place: S A S with a unit diagonal.
+def prepare(matrix: Tensor, system: NormalEquations) -> tuple[Tensor, Tensor]:
+    """Make a reduced matrix of `system` one that has a Cholesky factor, in place: S A S with a unit diagonal.
 
     Unknowns that nothing depends on get the diagonal 1; directions of the null space are made as stiff as the unknowns
     are that they move. Returns S (size) and that stiffness.
     """
     diagonal = matrix.diagonal()
-    diagonal.copy_(torch.where(diagonal == 0.0, 1.0, diagonal))
+    diagonal.copy_(torch.where(system.dead, 1.0, diagonal))
     stiffness = diagonal.new_ones(())
+    null_space = system.null_space
     if null_space is not None:
         stiffness = (null_space.square().T @ diagonal).mean()
         matrix.addmm_(null_space * stiffness, null_space.T)

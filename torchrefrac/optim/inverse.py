@@ -32,12 +32,11 @@ class GaussNewtonInverse:
         """Factorise undamped. Raises SingularError where the system is singular beyond its null space."""
         elimination = Elimination(system, 0.0)
         matrix, _ = elimination.reduced()
-        dead = matrix.diagonal() == 0.0
-        scale, stiffness = prepare(matrix, system.null_space)
+        scale, stiffness = prepare(matrix, system)
         factor, info = torch.linalg.cholesky_ex(matrix)
         if int(info):
             raise SingularError("the normal equations are singular")
-        return cls(elimination, factor, scale, stiffness, dead)
+        return cls(elimination, factor, scale, stiffness, system.dead)
 
     def __call__(self, vector: Tensor) -> Tensor:
         """The inverse times a vector (size + 3 n)."""

@@ -31,8 +31,7 @@ def solve_iteratively(
     turns out not to be positive definite, has a step that lowers the quadratic model, if only a part of the way.
     """
     system, damping = elimination.system, elimination.damping
-    dead = system.diagonal == 0.0
-    lift = torch.where(dead, 1.0, damping * system.diagonal)
+    lift = torch.where(system.dead, 1.0, damping * system.diagonal)
 
     def times(x: Tensor) -> Tensor:
         eliminated = elimination.along_cameras(elimination.times_inverse(elimination.along_points(x)))

@@ -20,6 +20,7 @@ from torch import Tensor
 from torchrefrac.optim.plan import CAMERA_SIZE, SchurPlan
 
 CACHED = 16384
+NEGLIGIBLE = 1e-18
 UPPER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
 
 
@@ -67,6 +68,11 @@ class NormalEquations:
     def diagonal(self) -> Tensor:
         """Of B (size)."""
         return self._scattered([(b.columns, b.hessian.diagonal(dim1=1, dim2=2)) for b in self.blocks])
+
+    @property
+    def dead(self) -> Tensor:
+        """Mask (size) of the unknowns that nothing depends on, but for rounding."""
+        return self.diagonal <= NEGLIGIBLE
 
     def apply(self, x: Tensor) -> Tensor:
         """B x, for x (size)."""

@@ -1,5 +1,7 @@
 """Figures about a reconstruction, alone and against truth. Units are in the keys."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -9,11 +11,11 @@ from torchrefrac.scene import Reconstruction, Truth
 MIN_SIMILARITY_CAMERAS = 3
 
 
-def summarize(reconstruction: Reconstruction) -> dict[str, float | int | str]:
+def summarize(reconstruction: Reconstruction) -> dict[str, Any]:
     """What can be said without truth."""
     errors = reconstruction.reprojection_errors()
-    count = len(errors)
-    return {
+    count, known, unit = len(errors), reconstruction.assessment, reconstruction.length_unit
+    metrics: dict[str, Any] = {
         "images": len(reconstruction.names),
         "registered_images": int(reconstruction.registered.sum()),
         "points": len(reconstruction.points),
@@ -22,6 +24,18 @@ def summarize(reconstruction: Reconstruction) -> dict[str, float | int | str]:
         "reprojection_rms_px": float(errors.square().mean().sqrt()) if count else 0.0,
         "index_ratio": reconstruction.index_ratio,
     }
+    if known.index_ratio_sigma is not None:
+        metrics["index_ratio_sigma"] = known.index_ratio_sigma
+    if known.pixel_sigma is not None:
+        metrics["pixel_sigma_px"] = known.pixel_sigma
+    for name, sigma in (("point", known.point_sigma), ("camera", known.center_sigma)):
+        if sigma is not None and len(sigma):
+            metrics[f"{name}_sigma_median_{unit}"] = float(sigma.median())
+    if known.determined:
+        metrics["determined"] = list(known.determined)
+    if known.held:
+        metrics["held"] = dict(known.held)
+    return metrics
 
 
 def evaluate(reconstruction: Reconstruction, truth: Truth) -> tuple[dict[str, float | int | str], Similarity | None]:

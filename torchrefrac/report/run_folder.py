@@ -13,11 +13,11 @@ import numpy as np
 from torchrefrac.features import Features
 from torchrefrac.geometry import Similarity
 from torchrefrac.report.figures import draw_side_views, side_view
-from torchrefrac.scene import Capture, Reconstruction, Truth, write_cameras, write_points
+from torchrefrac.scene import Capture, Reconstruction, Truth, write_cameras, write_points, write_tracks
 from torchrefrac.scene.atomic import replacing
 from torchrefrac.sfm import VerifiedPair
 
-RESULTS = ("features.npz", "matches.npz", "cameras.json", "points.ply", "side_view.png", "metrics.json")
+RESULTS = ("features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png", "metrics.json")
 
 
 class RunFolder:
@@ -58,7 +58,9 @@ class RunFolder:
             _write_matches(product, self.folder / "matches.npz")
         elif name == "sparse":
             write_cameras(product, self.folder / "cameras.json")
-            write_points(product.points, product.colors, self.folder / "points.ply")
+            sigma = product.assessment.point_sigma
+            write_points(product.points, product.colors, self.folder / "points.ply", sigma)
+            write_tracks(product, self.folder / "tracks.npz")
         self.metrics["stages"].append(name)
         self.metrics[f"seconds_{name}"] = round(seconds, 3)
 

@@ -4,7 +4,7 @@ from torchrefrac.scene.alignment import Alignment, AlignmentError
 from torchrefrac.scene.capture import Capture, CaptureError
 from torchrefrac.scene.capture_file import load_capture
 from torchrefrac.scene.colmap_model import read_colmap, write_colmap
-from torchrefrac.scene.reconstruction import Reconstruction
+from torchrefrac.scene.reconstruction import Assessment, Reconstruction
 from torchrefrac.scene.reconstruction_file import load_cameras, load_points, write_cameras, write_points
 from torchrefrac.scene.survey import Survey, SurveyError
 from torchrefrac.scene.survey_file import read_survey
@@ -16,6 +16,7 @@ from torchrefrac.scene.water_file import Water, read_water, write_water
 __all__ = [
     "Alignment",
     "AlignmentError",
+    "Assessment",
     "Capture",
     "CaptureError",
     "Reconstruction",

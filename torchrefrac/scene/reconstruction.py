@@ -10,6 +10,24 @@ from torchrefrac.refraction import FlatInterface
 
 
 @dataclass(frozen=True)
+class Assessment:
+    """How well a reconstruction is determined, as standard deviations; None: nothing can be said.
+
+    pixel_sigma: of a keypoint's coordinate, pixels, as estimated from the residuals. point_sigma (n) and center_sigma
+    (registered images): of a coordinate, in length_unit, relative to the cameras as a whole. index_ratio_sigma: None
+    where it was given. determined: sentences about water, lens and scale; held: what was to be refined, but is not
+    determined, and why.
+    """
+
+    pixel_sigma: float | None = None
+    point_sigma: Tensor | None = None
+    center_sigma: Tensor | None = None
+    index_ratio_sigma: float | None = None
+    determined: tuple[str, ...] = ()
+    held: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Reconstruction:
     """m images, of which `registered` (m) have a pose; n points with their observations.
 
@@ -31,6 +49,7 @@ class Reconstruction:
     point: Tensor
     pixels: Tensor
     failures: dict[str, str] = field(default_factory=dict)
+    assessment: Assessment = field(default_factory=Assessment)
 
     @property
     def interface(self) -> FlatInterface:

@@ -1,13 +1,62 @@
-"""Bundle adjustment of the growing model."""
+"""Bundle adjustment of the growing model, and what it says about the finished one."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
+from torch import Tensor
 
-from torchrefrac.bundle import BundleOptions, BundleState, GravityPrior, Observations, adjust
-from torchrefrac.scene import Capture
+from torchrefrac.bundle import (
+    BundleOptions,
+    BundleProblem,
+    BundleReport,
+    BundleState,
+    GravityPrior,
+    Links,
+    Observations,
+    Term,
+    adjust,
+    determinations,
+    estimate_pixel_sigma,
+    uncertainty,
+)
+from torchrefrac.bundle.layout import Layout
+from torchrefrac.optim import SingularError
+from torchrefrac.scene import Assessment, Capture
 from torchrefrac.sfm.model import SparseModel
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The registered images and the points that they support, as an adjustment takes them."""
+
+    images: Tensor
+    ids: Tensor
+    state: BundleState
+    observations: Observations
+    terms: list[Term]
+
+    @classmethod
+    def of(cls, model: SparseModel, capture: Capture) -> "_Part":
+        """Gravity is a prior when there is refraction to see the plane by."""
+        tracks = model.tracks
+        images = model.registered.nonzero()[:, 0]
+        rows = model.active.nonzero()[:, 0]
+        ids, point = torch.unique_consecutive(tracks.track[rows], return_inverse=True)
+        camera_of = torch.zeros(len(model.registered), dtype=torch.long)
+        camera_of[images] = torch.arange(len(images))
+        terms: list[Term] = []
+        if bool(model.index_ratio > 1.0):
+            terms.append(GravityPrior(capture.down_in_cam[images], capture.down_sigma))
+        return cls(
+            images,
+            ids,
+            BundleState(
+                model.rotation[images], model.center[images], model.points[ids], model.intrinsics, model.index_ratio
+            ),
+            Observations(camera_of[tracks.image[rows]], point, tracks.pixels[rows]),
+            terms,
+        )
 
 
 def adjust_model(
@@ -15,26 +64,38 @@ def adjust_model(
     capture: Capture,
     options: BundleOptions,
     callback: Callable[[int, float], None] | None = None,
-) -> SparseModel:
-    """Adjust all registered cameras and all points. Gravity is a prior when there is refraction to see the plane by."""
-    tracks = model.tracks
-    images = model.registered.nonzero()[:, 0]
-    rows = model.active.nonzero()[:, 0]
-    ids, point = torch.unique_consecutive(tracks.track[rows], return_inverse=True)
-    camera_of = torch.zeros(len(model.registered), dtype=torch.long)
-    camera_of[images] = torch.arange(len(images))
-    refractive = bool(model.index_ratio > 1.0)
-    report = adjust(
-        BundleState(
-            model.rotation[images], model.center[images], model.points[ids], model.intrinsics, model.index_ratio
-        ),
-        Observations(camera_of[tracks.image[rows]], point, tracks.pixels[rows]),
-        options,
-        terms=[GravityPrior(capture.down_in_cam[images], capture.down_sigma)] if refractive else [],
-        check=False,
-        callback=callback,
-    )
+) -> tuple[SparseModel, BundleReport]:
+    """Adjust all registered cameras and all points, and whatever else `options.refine` names."""
+    part = _Part.of(model, capture)
+    report = adjust(part.state, part.observations, options, terms=part.terms, check=False, callback=callback)
     points = model.points.clone()
-    points[ids] = report.state.points
-    model = model.with_poses(images, report.state.rotation, report.state.center)
-    return replace(model, points=points, intrinsics=report.state.lens, index_ratio=report.state.index_ratio)
+    points[part.ids] = report.state.points
+    model = model.with_poses(part.images, report.state.rotation, report.state.center)
+    return (
+        replace(model, points=points, intrinsics=report.state.lens, index_ratio=report.state.index_ratio),
+        report,
+    )
+
+
+def assess_model(model: SparseModel, capture: Capture, options: BundleOptions, held: dict[str, str]) -> Assessment:
+    """How well everything is determined; held: what an adjustment refused to refine. Empty where nothing is known."""
+    part = _Part.of(model, capture)
+    if not len(part.observations):
+        return Assessment()
+    refine = tuple(name for name in options.refine if name not in held)
+    layout = Layout.create(part.state, Links.single(part.state), refine)
+    problem = BundleProblem.create(part.state, layout, part.observations, options, part.terms)
+    try:
+        sigma = estimate_pixel_sigma(problem, part.state)
+        known = uncertainty(problem, part.state, sigma)
+        told = determinations(problem, part.state, sigma) if bool(model.index_ratio > 1.0) else []
+    except SingularError:
+        return Assessment(held=held)
+    return Assessment(
+        pixel_sigma=sigma,
+        point_sigma=known.point_sigma,
+        center_sigma=known.pose[:, 3:, 3:].diagonal(dim1=1, dim2=2).mean(dim=-1).sqrt(),
+        index_ratio_sigma=float(known.index_ratio) if "index_ratio" in refine else None,
+        determined=tuple(d.sentence for d in told),
+        held=held,
+    )

@@ -9,7 +9,7 @@ import torch
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, Reconstruction, Tracks
-from torchrefrac.sfm.adjustment import adjust_model
+from torchrefrac.sfm.adjustment import adjust_model, assess_model
 from torchrefrac.sfm.filtering import affordable_length, drop_unsupported_images, filter_points
 from torchrefrac.sfm.frame import fix_frame
 from torchrefrac.sfm.initial_pair import rank_initial_pairs, start_from_pair
@@ -48,7 +48,9 @@ def reconstruct_sparse(
     for grown in recorder.track(growth.register_all(model), remaining, "registering", "image"):
         model = grown
     model = growth.finish(model)
-    return _to_reconstruction(fix_frame(model, capture), capture, growth.failures)
+    model = fix_frame(model, capture)
+    assessment = assess_model(model, capture, options.bundle, growth.held)
+    return replace(_to_reconstruction(model, capture, growth.failures), assessment=assessment)
 
 
 class _Growth:
@@ -68,6 +70,7 @@ class _Growth:
         self.generator = generator
         self.recorder = recorder
         self.failures: dict[str, str] = {}
+        self.held: dict[str, str] = {}
         self._refused: dict[int, int] = {}  # images that could not be registered, and the points they saw then
         self._iterations = count()
 
@@ -114,7 +117,7 @@ class _Growth:
     def adjust(self, model: SparseModel, solver: LevenbergMarquardtOptions) -> SparseModel:
         """Adjust, drop what no longer fits, and take in what now does."""
         bundle = replace(self.options.bundle, solver=solver)
-        model = adjust_model(model, self.capture, bundle, self._record_cost)
+        model, _ = adjust_model(model, self.capture, bundle, self._record_cost)
         return triangulate_tracks(self._filter(model), self.options)
 
     def finish(self, model: SparseModel) -> SparseModel:
@@ -123,7 +126,8 @@ class _Growth:
         rounds = range(self.options.final_rounds)
         for _ in self.recorder.track(rounds, len(rounds), "adjusting", "round"):
             model = self._filter(triangulate_tracks(model, self.options), min_length)
-            model = adjust_model(model, self.capture, self.options.bundle, self._record_cost)
+            model, report = adjust_model(model, self.capture, self.options.bundle, self._record_cost)
+            self.held = report.held
         return self._filter(model, min_length)
 
     def _filter(self, model: SparseModel, min_length: int = 2) -> SparseModel:
