@@ -22,7 +22,7 @@ in_water_and_air = pytest.mark.parametrize("index_ratio", [1.333, 1.0], ids=["wa
 @in_water_and_air
 @pytest.mark.parametrize("land", [0, 10], ids=["no land", "land"])
 def test_without_noise_the_scene_is_recovered(plant, disturb, index_ratio, land):
-    planted = plant(points=40, land=land, index_ratio=index_ratio)
+    planted = plant(points=30, land=land, index_ratio=index_ratio)
 
     report = planted.adjusted(disturb(planted.truth))
 
@@ -33,7 +33,7 @@ def test_without_noise_the_scene_is_recovered(plant, disturb, index_ratio, land)
 def test_hubers_loss_recovers_the_scene_in_spite_of_a_few_wrong_observations(plant, disturb, draw):
     planted = plant(points=60)
     wrong = planted.with_wrong_observations(draw)
-    start = disturb(planted.truth, size=0.3)
+    start = disturb(planted.truth, size=0.1)
 
     robust, squared = (wrong.adjusted(start, loss=loss, loss_scale=0.01) for loss in ("huber", "squared"))
 
@@ -65,8 +65,8 @@ def test_a_lens_and_a_water_that_are_fixed_stay_as_they_are_to_the_last_bit(plan
 
 @in_water_and_air
 def test_with_noise_the_cost_is_that_which_scipy_reaches(plant, disturb, index_ratio):
-    planted = plant(cameras=3, points=8, noise=0.5, index_ratio=index_ratio)
-    start = disturb(planted.truth, size=0.3)
+    planted = plant(cameras=3, points=12, noise=0.5, index_ratio=index_ratio)
+    start = disturb(planted.truth, size=0.1)
 
     report = planted.adjusted(start)
 
@@ -84,7 +84,7 @@ def test_with_noise_the_cost_is_that_which_scipy_reaches(plant, disturb, index_r
         return (projected - seen.pixels).flatten().numpy()
 
     x0 = np.concatenate((np.zeros(9), start.center.flatten().numpy(), start.points.flatten().numpy()))
-    oracle = least_squares(residual, x0, method="trf", x_scale="jac", ftol=1e-14, xtol=1e-14, gtol=1e-14)
+    oracle = least_squares(residual, x0, method="trf", x_scale="jac", ftol=1e-11, xtol=1e-11, gtol=1e-11)
     assert report.costs[-1] == pytest.approx(oracle.cost, rel=1e-7)
 
 

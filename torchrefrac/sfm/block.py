@@ -59,9 +59,9 @@ class Block:
             least=least,
         )  # fmt: skip
 
-    def with_places(self, wanted: Tensor, pixel_sigma: float, loss_scale: float) -> "Block":
-        """The points `wanted` (n) where their active observations meet best; not placed where they do not meet."""
-        rows = (self.active & wanted[self.seen.point]).nonzero()[:, 0]
+    def with_places(self, wanted: Tensor, pixel_sigma: float, loss_scale: float | None = None) -> "Block":
+        """The points `wanted` (n) where all their observations meet best; not placed where they do not meet."""
+        rows = (self.images[self.seen.camera] & wanted[self.seen.point]).nonzero()[:, 0]
         ids, point = torch.unique_consecutive(self.seen.point[rows], return_inverse=True)
         seen = Observations(self.seen.camera[rows], point, self.seen.pixels[rows])
         cameras = self.state.cameras(self.links, seen.camera)
@@ -94,6 +94,25 @@ class Block:
             block = replace(block, images=images, placed=placed, active=active & images[block.seen.camera])
             if bool(block.active.sum() == active.sum()):
                 return block
+
+    def above_water(self) -> Tensor:
+        """Points (n) above the plane that the first image with an observation of them looks through."""
+        first = torch.searchsorted(self.seen.point, torch.arange(len(self.placed))).clamp(max=len(self.seen) - 1)
+        normal, offset = (value[self.links.plane[self.seen.camera[first]]] for value in self.state.planes)
+        return (normal * self.state.points).sum(dim=-1) > offset
+
+    def same_parts_as(self, other: "Block") -> bool:
+        """Whether the same images, points and observations take part."""
+        return all(
+            torch.equal(mine, its)
+            for mine, its in ((self.images, other.images), (self.placed, other.placed), (self.active, other.active))
+        )
+
+    def shared(self) -> Selection:
+        """What takes part, but for points that a single image sees."""
+        active = self.active & self.placed[self.seen.point]
+        several = torch.bincount(self.seen.point[active], minlength=len(self.placed)) >= 2
+        return replace(self, placed=self.placed & several).select()
 
     def select(self) -> Selection:
         """What takes part."""

@@ -13,7 +13,7 @@ MAX_DISAGREEMENT_DEG = 45.0
 
 
 def with_marks(alignment: Alignment, survey: Survey) -> Alignment:
-    """The marks of the survey are the last points, at their known positions where they have one (else at the origin)."""
+    """The marks of the survey are the last points, at the origin where no position is known."""
     count, k = len(alignment.points), len(survey.mark_names)
     positions = alignment.points.new_zeros(k, 3)
     positions[survey.known_mark] = survey.known_position
@@ -48,8 +48,12 @@ def check_vertical(alignment: Alignment, survey: Survey) -> None:
 
 
 def survey_terms(survey: Survey, image_slot: Tensor, mark_slot: Tensor, plane: Tensor) -> Sequence[Term]:
-    """The measurements as terms. image_slot (m) and mark_slot (k): the numbers of images and marks in the adjustment, -1
-    for those that take no part, whose measurements are left out. plane (k): the water plane that a mark is seen by."""
+    """The measurements as terms.
+
+    image_slot (m) and mark_slot (k): the numbers of images and marks in the adjustment, -1 for those that take no part,
+    whose measurements are left out. plane (m): the water plane of each image; a mark on the waterline lies in that of
+    the first image that shows it.
+    """
     down, height, center = (
         _present(image_slot, rows) for rows in (survey.down_image, survey.height_image, survey.center_image)
     )
@@ -70,7 +74,8 @@ def survey_terms(survey: Survey, image_slot: Tensor, mark_slot: Tensor, plane: T
         terms.append(KnownPoints(point, survey.known_position[known], survey.known_information[known]))
     if len(waterline):
         mark = survey.waterline_mark[waterline]
-        terms.append(Waterline(mark_slot[mark], plane[mark], survey.waterline_sigma[waterline]))
+        image = survey.mark_image[torch.searchsorted(survey.mark, mark)]
+        terms.append(Waterline(mark_slot[mark], plane[image], survey.waterline_sigma[waterline]))
     if bool(bars.any()):
         ends = mark_slot[survey.bar_from[bars]], mark_slot[survey.bar_to[bars]]
         terms.append(ScaleBars(*ends, survey.bar_length[bars], survey.bar_sigma[bars]))

@@ -1,0 +1,172 @@
+"""Bundle adjustment beside Ceres: same scene, same start, same tolerance, same machine.
+
+    python tools/bench/bundle.py --ceres ../shared/peers/ceres_ba [--only peers,large,jacobian] [--threads 1,2]
+
+`--ceres` is a folder with ba.cc, CMakeLists.txt (needs Ceres 2.1 and CMake) and make_scene.py: it is copied and built in
+a temporary folder, or in `--work`, where scenes are kept too. Every run is a process of its own that is timed without
+reading the scene and, where compiled, without compiling. Per scene and number of threads: seconds a step of
+Levenberg-Marquardt (a trial step, accepted or not, with its linear solve), ratio to Ceres (analytic derivatives,
+DENSE_SCHUR), trial steps, final cost (half the sum of squares), peak memory. large: 1000 cameras, 3 million
+observations, dense and iterative. jacobian: exact derivatives against those with the refrax ratio frozen.
+"""
+
+import argparse
+import json
+import os
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+SCENES = {"50 cameras": (50, 20_000), "200 cameras": (200, 60_000)}
+LARGE = (1000, 300_000)
+TOLERANCE = 1e-10
+HEADER = f"{'':<34} {'s / step':>9} {'ratio':>6} {'steps':>6} {'half SSE':>17} {'s':>7} {'GiB':>6}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Bundle adjustment beside Ceres.")
+    parser.add_argument("--ceres", type=Path, help="folder of the Ceres program and the scenes' generator")
+    parser.add_argument("--only", default="peers,large,jacobian")
+    parser.add_argument("--threads", default="1,2")
+    parser.add_argument("--work", type=Path, help="where to build and keep scenes (a temporary folder)")
+    parser.add_argument("--worker", type=Path, help=argparse.SUPPRESS)
+    for flag in ("compiled", "frozen", "iterative"):
+        parser.add_argument(f"--{flag}", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.worker:
+        print(json.dumps(_work(arguments)))
+        return
+    if arguments.ceres is None:
+        sys.exit("--ceres is missing; it must be the folder with ba.cc and make_scene.py")
+    parts, threads = arguments.only.split(","), [int(t) for t in arguments.threads.split(",")]
+    with tempfile.TemporaryDirectory() as temporary:
+        work = (arguments.work or Path(temporary)).resolve()
+        program = _build(arguments.ceres, work)
+        print(HEADER)
+        if "peers" in parts:
+            for name, (cameras, points) in SCENES.items():
+                scene = _scene(work, cameras, points)
+                for count in threads:
+                    _compare(program, scene, name, count)
+        if "jacobian" in parts:
+            scene = _scene(work, *SCENES["50 cameras"])
+            _show("50 cameras, exact", _run(scene, 1))
+            _show("50 cameras, ratio frozen", _run(scene, 1, "--frozen"))
+        if "large" in parts:
+            scene = _scene(work, *LARGE)
+            for flags in ([], ["--iterative"]):
+                _show(f"1000 cameras, {'iterative' if flags else 'dense'}", _run(scene, 2, *flags))
+
+
+def _compare(program: Path, scene: Path, name: str, threads: int) -> None:
+    label = f"{name}, {threads} thread{'s' if threads > 1 else ''}, "
+    peer = _ceres(program, scene, threads)
+    _show(label + "Ceres", peer)
+    for kind, flags in (("eager", []), ("compiled", ["--compiled"])):
+        ours = _run(scene, threads, *flags)
+        _show(label + kind, ours, peer)
+
+
+def _show(label: str, result: dict[str, Any], peer: dict[str, Any] | None = None) -> None:
+    each = result["seconds"] / result["steps"]
+    ratio = f"{each / (peer['seconds'] / peer['steps']):.2f}" if peer else ""
+    print(
+        f"{label:<34} {each:>9.3f} {ratio:>6} {result['steps']:>6} {result['cost']:>17.9g} {result['seconds']:>7.2f} "
+        f"{result['peak']:>6.2f}",
+        flush=True,
+    )
+
+
+def _build(source: Path, work: Path) -> Path:
+    folder = work / "ceres"
+    if not (folder / "build" / "ba").exists():
+        shutil.copytree(source, folder, dirs_exist_ok=True)
+        for command in (["cmake", "-S", ".", "-B", "build"], ["cmake", "--build", "build"]):
+            subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    return folder / "build" / "ba"
+
+
+def _scene(work: Path, cameras: int, points: int) -> Path:
+    scene = work / f"scene_{cameras}"
+    if not scene.with_suffix(".npz").exists():
+        command = [sys.executable, work / "ceres" / "make_scene.py", "--ncam", str(cameras), "--npt", str(points)]
+        subprocess.run([*command, "--per", "10", "--out", scene], check=True, stdout=subprocess.DEVNULL)
+    return scene
+
+
+def _ceres(program: Path, scene: Path, threads: int) -> dict[str, Any]:
+    command = [program, scene.with_suffix(".txt"), "analytic", "dense_schur", str(threads), "50"]
+    limit = {} if threads > 1 else {"preexec_fn": lambda: os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})}
+    process = subprocess.Popen(command, env=os.environ | {"FULL": "1"}, stdout=subprocess.PIPE, text=True, **limit)
+    assert process.stdout is not None
+    told = process.stdout.read()
+    _, _, usage = os.wait4(process.pid, 0)
+    steps = re.search(r"Linear solver +[\d.]+ \((\d+)\)", told)
+    seconds, cost = re.search(r"minimizer ([\d.]+) s", told), re.search(r"-> (\S+) rms", told)
+    assert steps is not None
+    assert seconds is not None
+    assert cost is not None
+    return {
+        "seconds": float(seconds[1]),
+        "steps": int(steps[1]),
+        "cost": float(cost[1]),
+        "peak": usage.ru_maxrss / 2**20,
+    }
+
+
+def _run(scene: Path, threads: int, *flags: str) -> dict[str, Any]:
+    command = [sys.executable, __file__, "--worker", scene.with_suffix(".npz"), "--threads", str(threads), *flags]
+    limits = {"OMP_NUM_THREADS": str(threads), "MKL_NUM_THREADS": str(threads), "OMP_WAIT_POLICY": "PASSIVE"}
+    done = subprocess.run(command, env=os.environ | limits, check=True, stdout=subprocess.PIPE, text=True)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def _work(arguments: argparse.Namespace) -> dict[str, Any]:
+    """One adjustment, in a process of its own."""
+    import numpy as np  # noqa: PLC0415 - the process that only starts others does not need these
+    import torch  # noqa: PLC0415
+
+    from torchrefrac.bundle import BundleOptions, BundleState, Observations, adjust  # noqa: PLC0415
+    from torchrefrac.camera import Intrinsics  # noqa: PLC0415
+    from torchrefrac.geometry import so3_exp  # noqa: PLC0415
+    from torchrefrac.optim import LevenbergMarquardtOptions  # noqa: PLC0415
+
+    threads = int(arguments.threads)
+    torch.set_num_threads(threads)
+    if threads == 1:
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    with np.load(arguments.worker) as file:
+        data = {name: torch.from_numpy(file[name]) for name in ("ci", "pi", "uv", "aa0", "C0", "X0")}
+        focal, index_ratio = float(file["f"]), float(file["delta"])
+    state = BundleState(
+        rotation=so3_exp(data["aa0"]),
+        center=data["C0"],
+        points=data["X0"],
+        lens=Intrinsics.create(1, 1, focal, (0.0, 0.0)),
+        index_ratio=torch.tensor(index_ratio, dtype=torch.float64),
+    )
+    seen = Observations(data["ci"].long(), data["pi"].long(), data["uv"])
+    options = BundleOptions(
+        loss="squared",
+        compiled=arguments.compiled,
+        jacobian="frozen_ratio" if arguments.frozen else "exact",
+        reduced_solver="iterative" if arguments.iterative else "auto",
+        solver=LevenbergMarquardtOptions(max_iterations=50, function_tolerance=TOLERANCE),
+    )
+    if arguments.compiled:
+        adjust(state, seen, BundleOptions(loss="squared", compiled=True, solver=LevenbergMarquardtOptions(1)))
+    start = time.perf_counter()
+    report = adjust(state, seen, options, check=False)
+    seconds = time.perf_counter() - start
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return {"seconds": seconds, "steps": report.iterations, "cost": report.costs[-1], "peak": peak}
+
+
+if __name__ == "__main__":
+    main()
