@@ -1,6 +1,7 @@
 """The typed options of a run, and how they are built from plain mappings. YAML is read elsewhere."""
 
 import dataclasses
+import math
 import types
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,10 +11,12 @@ from torchrefrac.features import MatchOptions, SiftOptions
 from torchrefrac.refraction import water_index
 from torchrefrac.scene.capture_file import MAX_INDEX_RATIO
 from torchrefrac.sfm import SfmOptions
+from torchrefrac.sfm.readjust import ReadjustOptions
 
 T = TypeVar("T")
 PLAIN = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 ModelName = Literal["none", "radial", "refractive"]
+FRESH_WATER = 1.333
 
 
 class OptionError(ValueError):
@@ -47,9 +50,7 @@ class WaterOptions:
                 water_index(self.temperature_c, self.salinity_psu, self.wavelength_nm)
             except ValueError as error:
                 raise OptionError(f"water.{error}") from None
-        if self.index_ratio is not None and not 1.0 <= self.index_ratio <= MAX_INDEX_RATIO:
-            wants = f"lie between 1 and {MAX_INDEX_RATIO:g} (water: 1.333)"
-            raise OptionError(f"water.index_ratio is {self.index_ratio:g}, but must {wants}")
+        _require_index_ratio(self.index_ratio, "water.index_ratio")
 
     def ratio_of(self, capture_ratio: float) -> float:
         """The index ratio to use for a capture that states `capture_ratio`."""
@@ -85,6 +86,46 @@ class RunOptions:
     scene: SceneOptions
     reconstruction: Options
     out: str
+
+
+@dataclass(frozen=True)
+class PlaneOptions:
+    """The water plane normal . x = offset in the frame of an alignment, its normal out of the water. offset "find": the
+    height of the water is searched for and then varies."""
+
+    normal: tuple[float, ...] = (0.0, 0.0, 1.0)
+    offset: float | Literal["find"] = 0.0
+
+    def __post_init__(self) -> None:
+        if len(self.normal) != 3 or not 0.0 < math.hypot(*self.normal) < math.inf:
+            raise OptionError(f"plane.normal is {list(self.normal)}, but must be three numbers, not all zero")
+        if self.offset != "find" and not math.isfinite(self.offset):
+            raise OptionError(f"plane.offset is {self.offset}, but must be finite, or find")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdjustOptions(ReadjustOptions):
+    """An alignment from the command line, how to adjust it anew, and the folder for the results.
+
+    alignment: folder of a COLMAP model or of a run. water: path of a water.json; plane: where the water is without
+    one. index_ratio: by default that of the water.json, or of fresh water. survey: path of a survey.json. truth: folder
+    of a truth.json, by default that of the alignment. format: of the COLMAP model that is written.
+    """
+
+    alignment: str
+    out: str
+    water: str | None = None
+    index_ratio: float | None = None
+    plane: PlaneOptions = field(default_factory=PlaneOptions)
+    survey: str | None = None
+    truth: str | None = None
+    format: Literal["text", "binary"] = "text"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_index_ratio(self.index_ratio, "index_ratio")
+        if self.water is not None and self.plane != PlaneOptions():
+            raise OptionError("water and plane are both given, but the planes of a water.json leave nothing to say")
 
 
 def build(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
@@ -124,8 +165,7 @@ def _convert(hint: Any, value: Any, path: str) -> Any:
             raise OptionError(f"{path} is {value!r}, but must be one of {', '.join(map(str, choices))}")
         return value
     if origin in (Union, types.UnionType):
-        inner = [option for option in get_args(hint) if option is not type(None)]
-        return None if value is None else _convert(inner[0], value, path)
+        return _convert_union(get_args(hint), value, path)
     if origin is tuple:
         if not isinstance(value, list | tuple):
             raise OptionError(f"{path} is {value!r}, but must be a list")
@@ -135,6 +175,23 @@ def _convert(hint: Any, value: Any, path: str) -> Any:
     if type(value) is not hint:
         raise OptionError(f"{path} is {value!r}, but must be {PLAIN[hint]}")
     return value
+
+
+def _convert_union(choices: tuple[Any, ...], value: Any, path: str) -> Any:
+    """One kind of value, or null or one of some words where these are among the choices."""
+    words = [word for choice in choices if get_origin(choice) is Literal for word in get_args(choice)]
+    if value in words or (value is None and type(None) in choices):
+        return value
+    kind = next(choice for choice in choices if choice is not type(None) and get_origin(choice) is not Literal)
+    try:
+        return _convert(kind, value, path)
+    except OptionError as error:
+        raise OptionError(", or ".join((str(error), *words))) from None
+
+
+def _require_index_ratio(ratio: float | None, path: str) -> None:
+    if ratio is not None and not 1.0 <= ratio <= MAX_INDEX_RATIO:
+        raise OptionError(f"{path} is {ratio:g}, but must lie between 1 and {MAX_INDEX_RATIO:g} (water: 1.333)")
 
 
 def _join(path: str, name: str) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchrefrac.bundle.gauge import gauge_directions
+from torchrefrac.bundle.gauge import gauge_directions, similarity_motions
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.options import BundleOptions
 from torchrefrac.bundle.rows import RowModel, observation_rows
@@ -91,7 +91,10 @@ class BundleProblem:
         cost = torch.where(state.index_ratio >= 1.0, cost, torch.inf)
         gauge = None if layout.hold_points else gauge_directions(state, layout, residuals)
         system = linearize(self.plan, rows, cost, blocks, gauge)
-        return Linearized(system, options.reduced_solver, options.iterative, coarse=None)
+        linearized = Linearized(system, options.reduced_solver, options.iterative)
+        if linearized.is_dense:
+            return linearized
+        return replace(linearized, coarse=similarity_motions(state, layout)[0])
 
     def detached(self) -> "BundleProblem":
         """The same without a graph in the observations."""

@@ -18,7 +18,8 @@ def solve_dense(elimination: Elimination) -> tuple[Tensor, Tensor]:
     scale, _ = prepare(matrix, system)
     factor, info = torch.linalg.cholesky_ex(matrix)
     solution = -torch.cholesky_solve((negative * scale)[:, None], factor)[:, 0] * scale
-    solved = (info == 0) & solution.isfinite().all()
+    pivot = factor.diagonal().square().amin()  # of a matrix with a unit diagonal
+    solved = (info == 0) & (pivot > len(factor) * torch.finfo(factor.dtype).eps) & solution.isfinite().all()
     return torch.where(solved, solution, 0.0), solved
 
 

@@ -8,6 +8,7 @@ With X_i V_i X_i^T = I for every (damped) point and Z = X E^T, the reduced syste
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -75,7 +76,7 @@ class Elimination:
         for chunk, z, z_shared in self.tiles():
             whitened = self.whitened[:, chunk.tiles.start * TILE : chunk.tiles.stop * TILE].T.reshape(len(z), -1, 1)
             rest = torch.cat((z_shared, whitened), dim=-1)
-            _add_pairs(by_pair, z.mT @ z, chunk.cameras)
+            _add_products(by_pair, z, chunk.cameras)
             across = (z.mT @ rest).reshape(-1, mixed.shape[1])
             mixed.index_add_(0, chunk.cameras.flatten(), across)
             flat = rest.flatten(0, 1)
@@ -158,12 +159,18 @@ def _outer(slim: Tensor, rows: Tensor) -> Tensor:
     return total
 
 
-def _add_pairs(by_pair: Tensor, products: Tensor, cameras: Tensor) -> None:
-    """Add the 6x6 blocks of local products (B, 6 C, 6 C) to those of pairs of cameras."""
-    across = cameras.shape[1]
-    m = int(by_pair.shape[0] ** 0.5)
-    blocks = products.view(-1, across, CAMERA_SIZE, across, CAMERA_SIZE).transpose(2, 3).reshape(-1, BLOCK)
-    by_pair.index_add_(0, (cameras[:, :, None] * m + cameras[:, None, :]).flatten(), blocks)
+def _add_products(by_pair: Tensor, z: Tensor, cameras: Tensor) -> None:
+    """Add the 6x6 blocks of Z^T Z to those of pairs of cameras: none is left out in the lower triangle.
+
+    Cameras ascend along C, so that a strip of rows needs only the columns up to its own.
+    """
+    m, across = int(by_pair.shape[0] ** 0.5), cameras.shape[1]
+    bounds = sorted({0, across // 2, across})
+    for first, end in pairwise(bounds):
+        strip = z[..., first * CAMERA_SIZE : end * CAMERA_SIZE].mT @ z[..., : end * CAMERA_SIZE]
+        blocks = strip.view(-1, end - first, CAMERA_SIZE, end, CAMERA_SIZE).transpose(2, 3).reshape(-1, BLOCK)
+        pair = cameras[:, first:end, None] * m + cameras[:, None, :end]
+        by_pair.index_add_(0, pair.flatten(), blocks)
 
 
 def _lower_times(x: Tensor, y: Tensor) -> Tensor:

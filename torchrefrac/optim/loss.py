@@ -5,7 +5,7 @@ synthesis", 2000, section 4.3) would add the rank-one term of rho'', which is ne
 away the positive definiteness that a Cholesky factorisation stands on, and near the minimum gains next to nothing.
 """
 
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor
@@ -26,7 +26,9 @@ def robust(s: Tensor, loss: LossName, scale: float) -> tuple[Tensor, Tensor]:
     limit = scale * scale
     if loss == "cauchy":
         return limit * torch.log1p(s / limit), (1.0 + s / limit).reciprocal()
-    return s.clamp(max=limit), (s <= limit).to(s.dtype)
+    if loss == "truncated":
+        return s.clamp(max=limit), (s <= limit).to(s.dtype)
+    raise ValueError(f"loss is {loss!r}, but must be one of {', '.join(get_args(LossName))}")
 
 
 def huber(s: Tensor, scale: float) -> tuple[Tensor, Tensor]:

@@ -5,7 +5,7 @@ tiles of `TILE` points; what a tile adds to the reduced system is one small dens
 that see it. Tiles with as many cameras lie side by side, so that they can be multiplied as a batch.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -81,23 +81,23 @@ class SchurPlan:
         locality (n), whole numbers: points of near values are seen by the same cameras (a place on a curve that fills
         space); by default the mean of their cameras' ids.
         """
-        if len(torch.unique(point * num_cameras + camera)) < len(point):
+        tiling = _Tiling.of(camera, point, num_cameras, num_points, locality)
+        place = tiling.place_of_point[point]
+        pair, order = torch.sort(place * num_cameras + camera)
+        if bool((pair[1:] == pair[:-1]).any()):
             raise ValueError("a camera sees a point twice; each pair of camera and point may occur once")
-        place_of_point, num_tiles = _places(camera, point, num_cameras, num_points, locality)
-        place = place_of_point[point]
-        order = torch.argsort(place * num_cameras + camera)
         camera, place = camera[order], place[order]
         return cls(
             order=order,
             camera=camera,
             point=place,
-            place_of_point=place_of_point,
+            place_of_point=tiling.place_of_point,
             num_cameras=num_cameras,
-            num_places=num_tiles * TILE,
+            num_places=tiling.num_tiles * TILE,
             families=tuple(families),
             num_extra=num_extra,
             columns=_columns(num_cameras, families, camera),
-            chunks=tuple(_chunks(camera, place, num_cameras, num_tiles)),
+            chunks=tuple(tiling.chunks(place, order, num_cameras)),
         )
 
     def with_families(self, families: Sequence[Family]) -> "SchurPlan":
@@ -144,40 +144,51 @@ def _range(count: int, like: Tensor) -> Tensor:
     return torch.arange(count, device=like.device)
 
 
-def _places(
-    camera: Tensor, point: Tensor, num_cameras: int, num_points: int, locality: Tensor | None
-) -> tuple[Tensor, int]:
-    """A place for every point (n): tiles of neighbours, tiles with as many cameras side by side. And how many tiles."""
-    if locality is None:
-        count = torch.bincount(point, minlength=num_points).clamp(min=1)
-        locality = torch.bincount(point, weights=camera.double(), minlength=num_points) / count
-    rank = torch.empty_like(point.new_zeros(num_points))
-    rank[torch.argsort(locality, stable=True)] = torch.arange(num_points, device=point.device)
-    num_tiles = -(-num_points // TILE)
-    tile = rank // TILE
-    seen = torch.unique(tile[point] * num_cameras + camera)
-    width = torch.bincount(seen // num_cameras, minlength=num_tiles)
-    new_tile = torch.empty_like(width)
-    new_tile[torch.argsort(width, stable=True)] = torch.arange(num_tiles, device=point.device)
-    return new_tile[tile] * TILE + rank % TILE, num_tiles
+@dataclass(frozen=True)
+class _Tiling:
+    """A place for every point (n): tiles of neighbours, tiles with as many cameras side by side.
 
+    local (N, as given): which of the cameras of its tile an observation is from. cameras: of all tiles, one after the
+    other; width (num_tiles): how many each has.
+    """
 
-def _chunks(camera: Tensor, place: Tensor, num_cameras: int, num_tiles: int) -> list[Chunk]:
-    tile = place // TILE
-    seen, local = torch.unique(tile * num_cameras + camera, return_inverse=True)
-    width = torch.bincount(seen // num_cameras, minlength=num_tiles)
-    first_seen = torch.cumsum(width, dim=0) - width
-    local = local - first_seen[tile]
-    first_observation = torch.searchsorted(tile, torch.arange(num_tiles + 1, device=tile.device)).tolist()
-    chunks = []
-    for start, end, widest in _runs(width.tolist()):
-        observations = slice(first_observation[start], first_observation[end])
-        slots = _range(widest, tile)
-        index = (first_seen[start:end, None] + slots).clamp(max=max(len(seen) - 1, 0))
-        cameras = torch.where(slots < width[start:end, None], seen[index] % num_cameras, num_cameras)
-        row = (place[observations] - start * TILE) * POINT_SIZE
-        chunks.append(Chunk(slice(start, end), observations, cameras, row * widest + local[observations]))
-    return chunks
+    place_of_point: Tensor
+    num_tiles: int
+    local: Tensor
+    cameras: Tensor
+    width: Tensor
+
+    @classmethod
+    def of(cls, camera: Tensor, point: Tensor, num_cameras: int, num_points: int, locality: Tensor | None) -> "_Tiling":
+        if locality is None:
+            count = torch.bincount(point, minlength=num_points).clamp(min=1)
+            locality = torch.bincount(point, weights=camera.double(), minlength=num_points) / count
+        rank = torch.empty_like(point.new_zeros(num_points))
+        rank[torch.argsort(locality, stable=True)] = _range(num_points, point)
+        num_tiles = -(-num_points // TILE)
+        tile = rank // TILE
+        seen, which = torch.unique(tile[point] * num_cameras + camera, return_inverse=True)
+        owner = torch.div(seen, num_cameras, rounding_mode="floor")
+        width = torch.bincount(owner, minlength=num_tiles)
+        local = which - (torch.cumsum(width, dim=0) - width)[tile[point]]
+        by_width = torch.argsort(width, stable=True)
+        new_tile = torch.empty_like(width)
+        new_tile[by_width] = _range(num_tiles, point)
+        cameras = (seen % num_cameras)[torch.argsort(new_tile[owner], stable=True)]
+        return cls(new_tile[tile] * TILE + rank % TILE, num_tiles, local, cameras, width[by_width])
+
+    def chunks(self, place: Tensor, order: Tensor, num_cameras: int) -> Iterator[Chunk]:
+        """For observations in `order` (N), at `place` (N)."""
+        local, first = self.local[order], torch.cumsum(self.width, dim=0) - self.width
+        starts = TILE * _range(self.num_tiles + 1, place)
+        first_observation = torch.searchsorted(place, starts).tolist()
+        for start, end, widest in _runs(self.width.tolist()):
+            observations = slice(first_observation[start], first_observation[end])
+            slots = _range(widest, place)
+            index = (first[start:end, None] + slots).clamp(max=len(self.cameras) - 1)
+            cameras = torch.where(slots < self.width[start:end, None], self.cameras[index], num_cameras)
+            row = (place[observations] - start * TILE) * POINT_SIZE
+            yield Chunk(slice(start, end), observations, cameras, row * widest + local[observations])
 
 
 def _runs(widths: Sequence[int]) -> list[tuple[int, int, int]]:

@@ -32,11 +32,16 @@ class Linearized:
     def cost(self) -> Tensor:
         return self.system.cost
 
+    @property
+    def is_dense(self) -> bool:
+        """Whether the reduced system is formed."""
+        return self.solver == "dense" or (self.solver == "auto" and self.system.plan.size <= MAX_DENSE)
+
     def solve(self, damping: float) -> Step:
         """Step of the system damped by `damping` times its own diagonal. `solved` is False when it is singular."""
         system = self.system
         elimination = Elimination(system, damping)
-        if self.solver == "dense" or (self.solver == "auto" and system.plan.size <= MAX_DENSE):
+        if self.is_dense:
             kept, solved = solve_dense(elimination)
         else:
             kept, solved = solve_iteratively(elimination, self.coarse, self.iterative)
