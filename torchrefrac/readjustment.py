@@ -70,7 +70,7 @@ def readjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> di
 
 
 def require_apart(alignment: Path, folder: Path) -> None:
-    """Raise OptionError where results in `folder` would replace files of the alignment, or a model that no run wrote."""
+    """Raise OptionError where results in `folder` would replace the alignment, or a model that no run has written."""
     place, into = alignment.resolve(), folder.resolve()
     found = find_colmap(alignment)
     if into in (place, found and found[0].resolve()) or place == into / MODEL:

@@ -31,7 +31,7 @@ def test_without_noise_the_scene_is_recovered(plant, disturb, index_ratio, land)
 
 
 def test_hubers_loss_recovers_the_scene_in_spite_of_a_few_wrong_observations(plant, disturb, draw):
-    planted = plant(points=60)
+    planted = plant(points=40)
     wrong = planted.with_wrong_observations(draw)
     start = disturb(planted.truth, size=0.1)
 
@@ -65,8 +65,8 @@ def test_a_lens_and_a_water_that_are_fixed_stay_as_they_are_to_the_last_bit(plan
 
 @in_water_and_air
 def test_with_noise_the_cost_is_that_which_scipy_reaches(plant, disturb, index_ratio):
-    planted = plant(cameras=3, points=10, noise=0.5, index_ratio=index_ratio)
-    start = disturb(planted.truth, size=0.1)
+    planted = plant(cameras=3, points=9, noise=0.5, index_ratio=index_ratio)
+    start = disturb(planted.truth, size=0.05)
 
     report = planted.adjusted(start)
 

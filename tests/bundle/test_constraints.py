@@ -27,7 +27,7 @@ def elsewhere(disturb):
     def move(state):
         turn = heading_rotation(torch.tensor(0.2, dtype=torch.float64))
         shift = torch.tensor((4.0, -3.0, 0.0), dtype=torch.float64)
-        state = disturb(state, size=0.3)
+        state = disturb(state, size=0.1)
         return replace(
             state,
             rotation=state.rotation @ turn.T,

@@ -136,9 +136,7 @@ def _measured(truth: BundleState, positions: bool, noise) -> list[Term]:
     terms: list[Term] = [GravityPrior(-(tilt @ truth.rotation)[:, :, 2], GRAVITY_SIGMA)]
     if positions:
         information = torch.eye(3, dtype=F64).expand(CAMERAS, 3, 3) / CENTER_SIGMA**2
-        terms.append(
-            CenterPrior(torch.arange(CAMERAS), truth.center + CENTER_SIGMA * noise(CAMERAS, 3), information)
-        )
+        terms.append(CenterPrior(torch.arange(CAMERAS), truth.center + CENTER_SIGMA * noise(CAMERAS, 3), information))
     return terms
 
 

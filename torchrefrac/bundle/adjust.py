@@ -56,9 +56,9 @@ def adjust(
     """
     options = options or BundleOptions()
     links = links or Links.single(state)
-    if check:
-        check_inputs(state, observations, links, held)
     kept = concerned_points(terms, len(state.points), state.points)
+    if check:
+        check_inputs(state, observations, links, held, known=kept)
     layout = Layout.create(state, links, options.refine, held, kept=kept)
     problem = BundleProblem.create(state, layout, observations, options, terms)
     refused = {} if options.refine_unseen else unseen(problem, state, options.pixel_sigma)

@@ -11,6 +11,7 @@ from torchrefrac.bundle.terms import Residuals
 from torchrefrac.geometry import Plane
 
 UNNOTICED = 1e-9
+ROUNDS = 3
 SCALE = 6
 
 
@@ -22,8 +23,8 @@ def similarity_motions(state: BundleState, layout: Layout) -> tuple[Tensor, Tens
     rotation, center, (normal, offset) = state.rotation, state.center, state.planes
     axes = torch.eye(3, dtype=center.dtype, device=center.device)
     m, e = len(center), len(normal)
-    poses, planes, points = center.new_zeros(m, 6, 7), center.new_zeros(e, 3, 7), center.new_zeros(0, 3, 7)
-    kept = state.points[layout.kept] if layout.kept is not None else state.points[:0]
+    poses, planes = center.new_zeros(m, 6, 7), center.new_zeros(e, 3, 7)
+    kept = state.points[layout.kept_points]
     points = center.new_zeros(len(kept), 3, 7)
     first, second = Plane(normal, offset, check=False).tangents_like(center)
     for k, axis in enumerate(axes):
@@ -39,20 +40,42 @@ def similarity_motions(state: BundleState, layout: Layout) -> tuple[Tensor, Tens
     plane_columns = layout.plane_columns(torch.arange(e, device=center.device)).flatten()
     motions[plane_columns] = planes.flatten(0, 1)
     if layout.kept is not None:
-        motions[layout.point_columns(layout.kept.nonzero()[:, 0]).flatten()] = points.flatten(0, 1)
-    held = [] if layout.held is None else [poses[layout.held]]
-    if float(state.index_ratio) > 1.0 or "index_ratio" in layout.water:
-        held.append(planes.flatten(0, 1)[plane_columns == layout.size])
+        motions[layout.point_columns(layout.kept_points).flatten()] = points.flatten(0, 1)
+    held = [] if layout.held is None else [torch.where(layout.held[..., None], poses, 0.0).flatten(0, 1)]
+    if layout.refractive or "index_ratio" in layout.water:
+        held.append(torch.where((plane_columns == layout.size)[:, None], planes.flatten(0, 1), 0.0))
     motions[-1] = 0.0
     return motions[:-1], torch.cat((*held, center.new_zeros(0, 7)))
 
 
-def gauge_directions(state: BundleState, layout: Layout, residuals: Sequence[Residuals] = ()) -> Tensor | None:
+def gauge_directions(
+    state: BundleState, layout: Layout, residuals: Sequence[Residuals] = (), count: int | None = None
+) -> Tensor | None:
     """Orthonormal basis (size, k) of the gauge; None where there is none.
 
     Through a water plane that is held k = 4: shifts along it, heading, and scale about it. Without refraction k = 7.
-    What is held and what is measured (`residuals`) take away those motions that they notice.
+    What is held and what is measured (`residuals`) take away those motions that they notice. count: k, where it is
+    known from before; nothing then waits for a GPU.
     """
+    motions, notices = _scaled(state, layout, residuals)
+    if count is None:
+        count = _count(motions, notices)
+    if count == 0:
+        return None
+    every = _triangle(torch.cat((motions, notices)))
+    seen = torch.linalg.solve_triangular(every, notices, upper=True, left=False)
+    combined = torch.linalg.solve_triangular(every, _unnoticed(seen, count), upper=True)
+    basis = torch.linalg.qr(motions @ combined).Q
+    return torch.where((motions != 0.0).any(dim=1, keepdim=True), basis, 0.0)  # what is held gets no rounding error
+
+
+def count_gauge(state: BundleState, layout: Layout, residuals: Sequence[Residuals] = ()) -> int:
+    """How many directions `gauge_directions` has."""
+    return _count(*_scaled(state, layout, residuals))
+
+
+def _scaled(state: BundleState, layout: Layout, residuals: Sequence[Residuals]) -> tuple[Tensor, Tensor]:
+    """The motions (size, 7), and how they move what is held and what is measured (k, 7), each of about unit length."""
     motions, held = similarity_motions(state, layout)
     padded = torch.nn.functional.pad(motions, (0, 0, 0, 1))
     noticed = [held]
@@ -61,18 +84,34 @@ def gauge_directions(state: BundleState, layout: Layout, residuals: Sequence[Res
         noticed.append((jacobian / torch.where(size > 0, size, 1.0) @ padded[columns]).reshape(-1, 7))
     notices = torch.cat(noticed)
     scale = torch.cat((motions, notices)).norm(dim=0).clamp(min=torch.finfo(motions.dtype).tiny)
-    _, triangle = torch.linalg.qr(torch.cat((motions / scale, held / scale)))
-    basis = torch.linalg.pinv(triangle)
-    seen = notices / scale @ basis
-    if len(seen):
-        _, singular, directions = torch.linalg.svd(seen, full_matrices=True)
-        unseen = torch.ones(7, dtype=torch.bool, device=singular.device)
-        unseen[: len(singular)] = singular <= UNNOTICED
-        basis = basis @ directions.T[:, unseen]
-    if basis.shape[1] == 0:
-        return None
-    moves = (motions != 0.0).any(dim=1, keepdim=True)
-    return torch.where(moves, torch.linalg.qr(motions / scale @ basis).Q, 0.0)  # what is held gets no rounding error
+    return motions / scale, notices / scale
+
+
+def _count(motions: Tensor, notices: Tensor) -> int:
+    """How many combinations of the motions move something, and nothing that is noticed."""
+    every = torch.cat((motions, notices))
+    _, triangle = torch.linalg.qr(torch.nn.functional.pad(every, (0, 0, 0, max(0, 7 - len(every)))))
+    seen = notices @ torch.linalg.pinv(triangle, rtol=UNNOTICED)
+    moving = int(torch.linalg.matrix_rank(triangle, rtol=UNNOTICED))
+    return moving - int((torch.linalg.svdvals(seen) > UNNOTICED).sum()) if len(seen) else moving
+
+
+def _unnoticed(notices: Tensor, count: int) -> Tensor:
+    """An orthonormal basis (7, count) of the combinations that are not noticed, by inverse iteration."""
+    triangle = _triangle(notices)
+    row, column = torch.meshgrid(torch.arange(7), torch.arange(count), indexing="ij")
+    basis = torch.cos((row + 0.5) * (column + 1.0)).to(triangle)
+    for _ in range(ROUNDS):
+        basis = torch.linalg.qr(torch.linalg.solve_triangular(triangle.T, basis, upper=False)).Q
+        basis = torch.linalg.qr(torch.linalg.solve_triangular(triangle, basis, upper=True)).Q
+    return basis
+
+
+def _triangle(rows: Tensor) -> Tensor:
+    """R (7, 7) of the QR decomposition of rows (k, 7), its pivots kept from zero."""
+    _, triangle = torch.linalg.qr(torch.nn.functional.pad(rows, (0, 0, 0, max(0, 7 - len(rows)))))
+    pivot, eps = triangle.diagonal(), torch.finfo(triangle.dtype).eps
+    return triangle + torch.where(pivot.abs() > eps, 0.0, eps).diag_embed()
 
 
 def _turned(axis: Tensor, vectors: Tensor) -> Tensor:

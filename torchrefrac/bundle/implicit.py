@@ -115,9 +115,9 @@ def _gradient(problem: BundleProblem, state: BundleState) -> Tensor:
         pull = options.pixel_sigma**2 * (jacobian.mT @ value[..., None])[..., 0]
         kept = kept.index_add(0, columns.flatten(), pull.flatten())
     if layout.kept is not None:
-        which = layout.kept.nonzero()[:, 0]
+        which = layout.kept_points
         kept = kept.index_add(0, layout.point_columns(which).flatten(), points[which].flatten())
-        points = points[~layout.kept]
+        points = points[layout.free_points]
     return torch.cat((kept[:-1], points.flatten()))
 
 

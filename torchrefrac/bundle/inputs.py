@@ -23,10 +23,12 @@ def check_inputs(
     links: Links,
     held: Tensor | None = None,
     names: Sequence[str] | None = None,
+    known: Tensor | None = None,
 ) -> None:
     """Raise UnadjustableError for a state or pixels that are not finite, ids out of range, cameras that are not above
     their water plane, points that fewer than two images see, images without any, and images that no chain of common
-    points connects to the rest (unless their poses are held). names (m): of the images, for the messages.
+    points connects to the rest (unless their poses are held). names (m): of the images, for the
+    messages. known (n): points that have measurements of their own; these may be seen once.
     """
     told = tuple(f"camera {i}" for i in range(len(state.center))) if names is None else tuple(names)
     _check_finite(state)
@@ -48,7 +50,7 @@ def check_inputs(
             f"not above the water plane: {where}; give the plane in the frame of the cameras, its normal towards them"
         )
     seen = torch.bincount(point, minlength=n)
-    lonely = (seen < 2).nonzero()[:, 0]
+    lonely = ((seen < 2) if known is None else (seen < 2) & ~known).nonzero()[:, 0]
     if len(lonely):
         where = _listed([str(i) for i in lonely[:SHOWN].tolist()], len(lonely))
         raise UnadjustableError(f"seen by fewer than two images: point {where}; leave such points out")

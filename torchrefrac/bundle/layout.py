@@ -22,7 +22,8 @@ POSE_SIZE = 6
 @dataclass(frozen=True)
 class Layout:
     """lens and water: what varies of them (keys of `rows.LENS` and of WATER_WIDTH). held (m, 6): unknowns of the poses
-    (rotation, centre) that do not vary; hold_points: none of the points do. kept (n): which points are kept."""
+    (rotation, centre) that do not vary; hold_points: none of the points do. kept (n): which points are kept.
+    refractive: whether the index ratio is above 1, so that images tell of the plane."""
 
     links: Links
     num_lenses: int
@@ -33,6 +34,7 @@ class Layout:
     held: Tensor | None = None
     hold_points: bool = False
     kept: Tensor | None = None
+    refractive: bool = True
 
     @classmethod
     def create(
@@ -61,6 +63,7 @@ class Layout:
             held=held if held is not None and bool(held.any()) else None,
             hold_points=hold_points,
             kept=kept if kept is not None and bool(kept.any()) else None,
+            refractive=float(state.index_ratio) > 1.0,
         )
 
     @property
@@ -86,7 +89,18 @@ class Layout:
 
     @property
     def num_kept(self) -> int:
-        return 0 if self.kept is None else int(self.kept.sum())
+        return len(self.kept_points)
+
+    @cached_property
+    def kept_points(self) -> Tensor:
+        """Ids of the points that are kept."""
+        return self.links.lens[:0] if self.kept is None else self.kept.nonzero()[:, 0]
+
+    @cached_property
+    def free_points(self) -> Tensor:
+        """Ids of the points that are not."""
+        every = torch.arange(self.num_points, device=self.links.lens.device)
+        return every if self.kept is None else (~self.kept).nonzero()[:, 0]
 
     @property
     def first_kept(self) -> int:
@@ -132,9 +146,8 @@ class Layout:
         blocks = step.kept[: POSE_SIZE * m].view(m, POSE_SIZE)
         points = state.points
         if self.kept is not None:
-            points = points.clone()
-            points[self.kept] += step.kept[self.first_kept :].view(-1, 3)
-            points[~self.kept] += step.point
+            points = points.index_add(0, self.kept_points, step.kept[self.first_kept :].view(-1, 3))
+            points = points.index_add(0, self.free_points, step.point)
         elif not self.hold_points:
             points = points + step.point
         moved = replace(

@@ -75,7 +75,7 @@ def determinations(problem: BundleProblem, state: BundleState, pixel_sigma: floa
     names = (*layout.lens, "index_ratio")
     vague = [GlobalPrior(name, state, VAGUE[name]) for name in names]
     options = replace(problem.options, loss="squared", pixel_sigma=pixel_sigma)
-    asked = problem.with_layout(layout, options, [*problem.terms, *vague])
+    asked = problem.with_layout(state, layout, options, [*problem.terms, *vague])
     system = asked.linearize(state).system
     found = Covariance.of(system)
     dead = torch.nn.functional.pad(system.dead, (0, 1), value=True)

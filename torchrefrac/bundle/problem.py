@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchrefrac.bundle.gauge import gauge_directions, similarity_motions
+from torchrefrac.bundle.gauge import count_gauge, gauge_directions, similarity_motions
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.options import BundleOptions
 from torchrefrac.bundle.rows import RowModel, observation_rows
@@ -26,6 +26,7 @@ class BundleProblem:
     kept_seen: Observations
     terms: tuple[Term, ...]
     options: BundleOptions
+    gauge: int
 
     @classmethod
     def create(
@@ -43,7 +44,7 @@ class BundleProblem:
             among = layout.kept[observations.point]
             seen, kept_seen = observations[~among], observations[among]
             id_of = torch.cumsum((~layout.kept).long(), dim=0) - 1
-        free = state.points if layout.kept is None else state.points[~layout.kept]
+        free = state.points[layout.free_points]
         plan = SchurPlan.create(
             seen.camera,
             seen.point if id_of is None else id_of[seen.point],
@@ -58,7 +59,8 @@ class BundleProblem:
             for name in (*layout.lens, *layout.water)
             if (sigma := options.expected.sigma_of(name)) is not None
         )
-        return cls(plan, layout, seen[plan.order], kept_seen, (*terms, *expected), options)
+        terms = (*terms, *expected)
+        return cls(plan, layout, seen[plan.order], kept_seen, terms, options, _gauge(state, layout, terms))
 
     @property
     def rows_of(self) -> RowModel:
@@ -89,7 +91,7 @@ class BundleProblem:
             blocks.append(Blocks.of_rows(columns, by_observation[..., :-1], by_observation[..., -1]))
             cost = cost + kept_cost
         cost = torch.where(state.index_ratio >= 1.0, cost, torch.inf)
-        gauge = None if layout.hold_points else gauge_directions(state, layout, residuals)
+        gauge = gauge_directions(state, layout, residuals, self.gauge)
         system = linearize(self.plan, rows, cost, blocks, gauge)
         linearized = Linearized(system, options.reduced_solver, options.iterative)
         if linearized.is_dense:
@@ -100,10 +102,12 @@ class BundleProblem:
         """The same without a graph in the observations."""
         return replace(self, seen=self.seen.detached(), kept_seen=self.kept_seen.detached())
 
-    def with_layout(self, layout: Layout, options: BundleOptions, terms: Sequence[Term]) -> "BundleProblem":
+    def with_layout(
+        self, state: BundleState, layout: Layout, options: BundleOptions, terms: Sequence[Term]
+    ) -> "BundleProblem":
         """The same observations with something else varying of lens and water."""
-        plan = self.plan.with_families(layout.families)
-        return replace(self, plan=plan, layout=layout, options=options, terms=tuple(terms))
+        plan, gauge = self.plan.with_families(layout.families), _gauge(state, layout, terms)
+        return replace(self, plan=plan, layout=layout, options=options, terms=tuple(terms), gauge=gauge)
 
     def squared_errors(self, state: BundleState) -> Tensor:
         """Squared reprojection errors (N) of the possible observations, square pixels."""
@@ -135,3 +139,10 @@ class BundleProblem:
         if self.layout.hold_points:
             rows[:, -4:-1] = 0.0
         return rows, cost
+
+
+def _gauge(state: BundleState, layout: Layout, terms: Sequence[Term]) -> int:
+    """How many directions of the gauge nothing fixes."""
+    if layout.hold_points:
+        return 0
+    return count_gauge(state, layout, [term.residuals(state, layout) for term in terms])

@@ -51,9 +51,9 @@ def uncertainty(problem: BundleProblem, state: BundleState, pixel_sigma: float |
     kept = found.kept * sigma**2
     points = kept.new_zeros(layout.num_points, 3, 3)
     if layout.kept is not None:
-        points[~layout.kept] = found.points() * sigma**2
-        columns = layout.point_columns(layout.kept.nonzero()[:, 0])
-        points[layout.kept] = kept[columns[:, :, None], columns[:, None, :]]
+        points[layout.free_points] = found.points() * sigma**2
+        columns = layout.point_columns(layout.kept_points)
+        points[layout.kept_points] = kept[columns[:, :, None], columns[:, None, :]]
     elif not layout.hold_points:
         points = found.points() * sigma**2
     poses = torch.arange(6 * layout.num_cameras, device=kept.device).view(-1, 6)

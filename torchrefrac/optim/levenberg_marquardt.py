@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic, Literal, NamedTuple, Protocol, TypeVar
 
+import torch
 from torch import Tensor
 
 State = TypeVar("State")
@@ -90,7 +91,8 @@ def minimize(
         first_try = growth == 2.0  # later ones are damped so much that a small prediction says nothing
         candidate = problem.retract(state, step)
         tried = problem.linearize(candidate)
-        tried_cost, predicted, solved = float(tried.cost), float(step.predicted_decrease), bool(step.solved)
+        told = torch.stack([tried.cost, step.predicted_decrease, step.solved.to(tried.cost)])  # one look at a GPU
+        tried_cost, predicted, solved = told.tolist()
         decrease = cost - tried_cost
         if solved and math.isfinite(tried_cost) and predicted > 0.0 and decrease >= 0.0:
             damping *= max(1.0 / 3.0, 1.0 - (2.0 * decrease / predicted - 1.0) ** 3)

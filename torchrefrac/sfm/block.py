@@ -7,11 +7,13 @@ import torch
 from torch import Tensor
 
 from torchrefrac.bundle import BundleState, Links, Observations
-from torchrefrac.camera import Intrinsics
+from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.minimal import triangulate
 from torchrefrac.refinement import refine_points
 from torchrefrac.refraction import refract_rays
 from torchrefrac.scene import Alignment, Water
+
+SET_ASIDE = 3
 
 
 @dataclass(frozen=True)
@@ -59,16 +61,28 @@ class Block:
             least=least,
         )  # fmt: skip
 
-    def with_places(self, wanted: Tensor, pixel_sigma: float, loss_scale: float | None = None) -> "Block":
-        """The points `wanted` (n) where all their observations meet best; not placed where they do not meet."""
+    def with_places(self, wanted: Tensor, pixel_sigma: float, limit: float | None = None) -> "Block":
+        """The points `wanted` (n) where all their observations in the images meet best; not placed where they do not.
+
+        limit: the largest error that an observation may have there, pixels. While a point has a larger one its worst
+        observation is set aside, up to three times and down to two.
+        """
         rows = (self.images[self.seen.camera] & wanted[self.seen.point]).nonzero()[:, 0]
-        ids, point = torch.unique_consecutive(self.seen.point[rows], return_inverse=True)
-        seen = Observations(self.seen.camera[rows], point, self.seen.pixels[rows])
-        cameras = self.state.cameras(self.links, seen.camera)
-        start = _meeting_points(self.state, self.links, seen, len(ids))
-        found = refine_points(cameras, seen.pixels, point, start, pixel_sigma, loss_scale)
         points, placed = self.state.points.clone(), self.placed & ~wanted
-        points[ids[found.valid]], placed[ids[found.valid]] = found.points[found.valid], True
+        for _ in range(1 if limit is None else 1 + SET_ASIDE):
+            rows = rows[torch.bincount(self.seen.point[rows], minlength=len(placed))[self.seen.point[rows]] >= 2]
+            if not len(rows):
+                break
+            ids, point = torch.unique_consecutive(self.seen.point[rows], return_inverse=True)
+            seen = Observations(self.seen.camera[rows], point, self.seen.pixels[rows])
+            cameras = self.state.cameras(self.links, seen.camera)
+            start = _meeting_points(self.state, self.links, seen, len(ids))
+            found = refine_points(cameras, seen.pixels, point, start, pixel_sigma, limit)
+            error = _distance(cameras, found.points[point], seen.pixels)
+            worst = error.new_zeros(len(ids)).scatter_reduce(0, point, error, "amax")
+            good = found.valid if limit is None else found.valid & (worst < limit)
+            points[ids[good]], placed[ids[good]] = found.points[good], True
+            rows = rows[~good[point] & (error < worst[point])]
         return replace(self, state=replace(self.state, points=points), placed=placed)
 
     def errors(self) -> Tensor:
@@ -77,9 +91,13 @@ class Block:
         error = self.seen.pixels.new_full((len(self.seen),), torch.inf)
         rows = (self.placed[self.seen.point] & self.images[self.seen.camera]).nonzero()[:, 0]
         seen = self.seen[rows]
-        projected, valid = self.state.cameras(self.links, seen.camera).project(self.state.points[seen.point])
-        error[rows] = torch.where(valid, (projected - seen.pixels).norm(dim=-1), torch.inf)
+        error[rows] = _distance(self.state.cameras(self.links, seen.camera), self.state.points[seen.point], seen.pixels)
         return error
+
+    def doubtful(self, limit: float) -> Tensor:
+        """Points (n) without a position, or with an error above the limit in an image that takes part."""
+        beyond = self.images[self.seen.camera] & (self.errors() >= limit)
+        return ~self.placed | (torch.bincount(self.seen.point[beyond], minlength=len(self.placed)) > 0)
 
     def within(self, limit: float, min_support: int = 0) -> "Block":
         """With the observations whose error is below the limit, the points that have enough of them, and the images
@@ -160,6 +178,12 @@ def unstacked(lens: Intrinsics, like: Sequence[Intrinsics]) -> tuple[Intrinsics,
         replace(own, focal=focal, principal_point=middle, distortion=distortion)
         for own, focal, middle, distortion in zip(like, *values, strict=True)
     )
+
+
+def _distance(cameras: RefractiveCamera, points: Tensor, pixels: Tensor) -> Tensor:
+    """In the image, between points (N) and pixels (N, 2); inf where a point cannot be seen."""
+    projected, possible = cameras.project(points)
+    return torch.where(possible, (projected - pixels).norm(dim=-1), torch.inf)
 
 
 def _meeting_points(state: BundleState, links: Links, seen: Observations, count: int) -> Tensor:

@@ -98,9 +98,10 @@ class Work:
         block, report = self.adjust(block, self.first(block))
         support = 0 if options.held == "cameras" else MIN_OBSERVATIONS
         for i in self.recorder.track(range(options.rounds), options.rounds, "adjusting", "round"):
-            before, last = block, i == options.rounds - 1
-            block = block.with_places(~block.placed, options.bundle.pixel_sigma, options.max_error)
-            block = block.within(options.max_error if last else self._generous(block), support)
+            before, limit = block, options.max_error if i == options.rounds - 1 else self._generous(block)
+            anew = block.doubtful(limit)
+            anew[self.ties :] &= ~block.placed[self.ties :]  # a mark is where measurements have it
+            block = block.with_places(anew, options.bundle.pixel_sigma, limit).within(limit, support)
             if i == 0 or report.status != "converged" or not block.same_parts_as(before):
                 block, report = self.adjust(block, options.bundle)
         return block, report
