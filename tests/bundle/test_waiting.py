@@ -1,4 +1,7 @@
-"""What an iteration waits for: on a GPU, every look at a value holds up the processor."""
+"""What an iteration waits for: on a GPU, every look at a value holds up the processor.
+
+The three numbers that a step is judged by are read at once by `Tensor.tolist`, which is not counted here.
+"""
 
 from dataclasses import replace
 
@@ -31,7 +34,7 @@ class Looks(TorchDispatchMode):
 
 @pytest.mark.parametrize("index_ratio", [1.333, 1.0], ids=["water", "air"])
 @pytest.mark.parametrize("constrained", [False, True], ids=["images alone", "constrained"])
-def test_an_iteration_looks_at_three_numbers_once(plant, disturb, index_ratio, constrained):
+def test_an_iteration_waits_for_nothing_but_the_three_numbers_that_judge_it(plant, disturb, index_ratio, constrained):
     planted = plant(noise=0.3, index_ratio=index_ratio)
     terms, held = [], None
     if constrained:
@@ -56,4 +59,4 @@ def test_an_iteration_looks_at_three_numbers_once(plant, disturb, index_ratio, c
             minimize(problem, start, solver)
         looks.append(len(found.seen))
 
-    assert looks[1] - looks[0] == 2 * 3
+    assert looks[1] == looks[0]

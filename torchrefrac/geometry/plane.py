@@ -85,7 +85,7 @@ class Plane:
         its normal. The coordinates in which derivatives by tilt and height are taken."""
         first, second = self.tangents_like(tilt)
         turn = so3_exp(tilt[..., :1] * first + tilt[..., 1:] * second)
-        return Plane(rotate(turn, self.normal_like(tilt)), like(self.offset, tilt) + height)
+        return Plane(rotate(turn, self.normal_like(tilt)), like(self.offset, tilt) + height, check=False)
 
     def in_frame(self, new_from_old_rotation: Tensor, origin: Tensor) -> "Plane":
         """The same plane in coordinates x_new = R (x_old - origin): R (*B, 3, 3), origin (*B, 3)."""
