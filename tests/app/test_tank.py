@@ -36,6 +36,18 @@ def test_refraction_places_the_cameras_better_than_the_paper_and_the_other_model
 
 
 @pytest.mark.slow
+def test_an_index_ratio_that_starts_at_1_25_is_found_with_the_cameras(torchrefrac, shared_data, metrics, tmp_path):
+    folder = shared_data("tank")
+    options = ("water.index_ratio=1.25", "sfm.bundle.refine=[index_ratio]")
+    assert torchrefrac("scene=capture", f"scene.path={folder}", *options, "out=free").status == 0
+    found = metrics(tmp_path / "free")
+    assert abs(found["index_ratio"] - 1.33) <= 0.003
+    assert abs(found["index_ratio"] - 1.33) <= 3.0 * found["index_ratio_sigma"]
+    assert found["registered_images"] == 12
+    assert found["camera_rms_cm"] <= 0.02
+
+
+@pytest.mark.slow
 def test_gravity_that_is_four_degrees_off_costs_no_accuracy(shared_data, draw):
     folder = shared_data("tank")
     capture, truth = tr.load_capture(folder), load_truth(folder)
