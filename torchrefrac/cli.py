@@ -163,7 +163,7 @@ def _adjust_summary(metrics: dict[str, Any]) -> list[str]:
         f"{metrics[f'camera_shift_max_{unit}']:.4g} {unit} at most",
         *metrics["determined"],
     ]
-    lines += [f"not refined, as it is not determined: {sentence}" for sentence in metrics["held"].values()]
+    lines += [f"not refined: {sentence}" for sentence in metrics["held"].values()]
     for key, words in LEFT_OUT.items():
         if key in metrics:
             lines.append(f"{words}: {', '.join(metrics[key])}")

@@ -103,18 +103,25 @@ class PlaneOptions:
             raise OptionError(f"plane.offset is {self.offset}, but must be finite, or find")
 
 
+@dataclass(frozen=True)
+class WaterFileOptions:
+    """path of a water.json."""
+
+    path: str | None = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class AdjustOptions(ReadjustOptions):
     """An alignment from the command line, how to adjust it anew, and the folder for the results.
 
-    alignment: folder of a COLMAP model or of a run. water: path of a water.json; plane: where the water is without
-    one. index_ratio: by default that of the water.json, or of fresh water. survey: path of a survey.json. truth: folder
-    of a truth.json, by default that of the alignment. format: of the COLMAP model that is written.
+    alignment: folder of a COLMAP model or of a run. plane: where the water is without a water.json. index_ratio: by
+    default that of the water.json, or of fresh water. survey: path of a survey.json. truth: folder of a truth.json, by
+    default that of the alignment. format: of the COLMAP model that is written.
     """
 
     alignment: str
     out: str
-    water: str | None = None
+    water: WaterFileOptions = field(default_factory=WaterFileOptions)
     index_ratio: float | None = None
     plane: PlaneOptions = field(default_factory=PlaneOptions)
     survey: str | None = None
@@ -124,8 +131,8 @@ class AdjustOptions(ReadjustOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         _require_index_ratio(self.index_ratio, "index_ratio")
-        if self.water is not None and self.plane != PlaneOptions():
-            raise OptionError("water and plane are both given, but the planes of a water.json leave nothing to say")
+        if self.water.path is not None and self.plane != PlaneOptions():
+            raise OptionError("water.path and plane are both given, but a water.json says where the planes are")
 
 
 def build(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:

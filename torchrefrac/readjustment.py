@@ -105,8 +105,8 @@ def _truth(options: AdjustOptions) -> Truth | None:
 
 
 def _water(options: AdjustOptions, alignment: Alignment) -> Water:
-    if options.water is not None:
-        water = read_water(options.water)
+    if options.water.path is not None:
+        water = read_water(options.water.path)
         return water if options.index_ratio is None else replace(water, index_ratio=options.index_ratio)
     ratio = FRESH_WATER if options.index_ratio is None else options.index_ratio
     normal = torch.tensor(options.plane.normal, dtype=torch.float64)

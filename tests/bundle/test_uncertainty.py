@@ -8,6 +8,7 @@ from bundle_oracles import jacobian_of, weighted_residuals
 from scipy.integrate import quad
 
 from torchrefrac.bundle import (
+    BundleOptions,
     CenterPrior,
     Expectations,
     GravityPrior,
@@ -17,6 +18,7 @@ from torchrefrac.bundle import (
     ScaleBars,
     Waterline,
     adjust,
+    adjust_pose,
     estimate_pixel_sigma,
     uncertainty,
 )
@@ -107,12 +109,9 @@ def test_all_of_it_is_the_inverse_of_the_whole_matrix_of_derivatives(case_of, na
         _assert_same(told.planes, deviation[layout.plane_columns(torch.arange(layout.num_planes))])
 
 
-def test_a_known_sigma_scales_everything(case_of):
-    _, problem = case_of("free water", refine=("focal", *WATER), expected=Expectations())
-    problem = replace(problem, terms=())
-    state = problem.layout.retract  # noqa: F841
-    planted, problem = case_of("free water")
-    problem = replace(problem, terms=())
+def test_a_known_sigma_scales_everything(plant):
+    planted = plant(cameras=5, points=20)
+    problem = planted.problem(refine=("focal", *WATER))
 
     once, twice = (uncertainty(problem, planted.truth, sigma) for sigma in (SIGMA, 2.0 * SIGMA))
 
@@ -120,6 +119,285 @@ def test_a_known_sigma_scales_everything(case_of):
     _assert_same(twice.pose, 4.0 * once.pose)
     _assert_same(twice.points, 4.0 * once.points)
     _assert_same(twice.point_sigma, 2.0 * once.point_sigma)
+    _assert_same(twice.lens["focal"], 2.0 * once.lens["focal"])
     _assert_same(twice.index_ratio, 2.0 * once.index_ratio)
     _assert_same(twice.planes, 2.0 * once.planes)
     _assert_same(twice.covariance, 4.0 * once.covariance)
+
+
+def test_a_known_sigma_does_not_scale_what_measurements_say(case_of):
+    """Centres that are measured well and images that say next to nothing: the measurements' own deviation is left."""
+    planted, _ = case_of("free")
+    images = torch.arange(5)
+    known = CenterPrior(images, planted.truth.center, 100.0 * torch.eye(3, dtype=torch.float64).expand(5, 3, 3))
+    problem = planted.problem(terms=[known, planted.gravity])
+
+    told = uncertainty(problem, planted.truth, 1e4)
+
+    center = told.pose[:, 3:, 3:].diagonal(dim1=1, dim2=2).sqrt()
+    torch.testing.assert_close(center, torch.full_like(center, 0.1), rtol=1e-3, atol=0.0)
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy", "truncated"])
+def test_where_sigma_is_known_the_loss_does_not_matter(plant, loss):
+    planted = plant(noise=1.0)
+
+    robust, squared = (
+        uncertainty(planted.problem(loss=name, loss_scale=0.5), planted.truth, SIGMA) for name in (loss, "squared")
+    )
+
+    assert torch.equal(robust.covariance, squared.covariance)
+    assert torch.equal(robust.points, squared.points)
+
+
+def test_an_observation_that_weighs_four_times_as_much_counts_as_four(plant):
+    planted = plant()
+    seen = planted.observations
+    weighted = replace(planted, observations=replace(seen, weight=torch.full_like(seen.pixels[:, 0], 4.0)))
+
+    plain, heavy = (uncertainty(p.problem(), p.truth, SIGMA) for p in (planted, weighted))
+
+    _assert_same(heavy.points, 0.25 * plain.points)
+    _assert_same(heavy.covariance, 0.25 * plain.covariance)
+
+
+def test_what_is_held_has_no_variance_to_the_last_bit(case_of):
+    planted, problem = case_of("held cameras and a bar")
+
+    told = uncertainty(problem, planted.truth, SIGMA)
+
+    held = problem.layout.held
+    assert (told.pose[held] == 0.0).all()
+    assert (told.pose.mT[held] == 0.0).all()
+    assert (told.pose.diagonal(dim1=1, dim2=2)[~held] > 0.0).all()
+    assert told.lens == {}
+    assert told.index_ratio == 0.0
+    assert (told.planes == 0.0).all()
+
+
+def test_points_that_are_held_have_no_variance_and_the_camera_that_of_a_resection(plant):
+    planted = plant(cameras=2)
+    layout = Layout.create(planted.truth, planted.links, hold_points=True)
+    problem = BundleProblem.create(planted.truth, layout, planted.observations, planted.problem().options)
+
+    told = uncertainty(problem, planted.truth, SIGMA)
+
+    jacobian = jacobian_of(weighted_residuals(problem, planted.observations, planted.truth), layout, planted.truth)
+    poses = jacobian[:, :12]
+    assert (told.points == 0.0).all()
+    _assert_same(told.covariance, SIGMA**2 * torch.linalg.inv(poses.T @ poses))
+
+
+def test_the_sigma_of_a_point_is_the_root_of_its_mean_variance(case_of):
+    planted, problem = case_of("a bar")
+
+    told = uncertainty(problem, planted.truth, SIGMA)
+
+    _assert_same(told.point_sigma, (torch.einsum("nii->n", told.points) / 3.0).sqrt())
+
+
+@pytest.mark.parametrize("name", ["free", "free water", "marks and a bar"])
+def test_covariances_are_symmetric_and_positive(case_of, name):
+    planted, problem = case_of(name)
+
+    told = uncertainty(problem, planted.truth, SIGMA)
+
+    for covariance in (told.points, told.pose, told.covariance):
+        _assert_same(covariance, covariance.mT)
+        values = torch.linalg.eigvalsh(covariance)
+        assert (values > -1e-10 * values.amax(dim=-1, keepdim=True)).all()
+
+
+def test_a_focal_length_that_level_cameras_in_air_leave_open_raises(plant, draw):
+    """Whatever is stretched along the view with it looks the same."""
+    planted = _level(plant(cameras=5, points=20, index_ratio=1.0), draw)
+
+    with pytest.raises(SingularError, match="singular"):
+        uncertainty(planted.problem(refine=("focal",)), planted.truth, SIGMA)
+
+    assert uncertainty(planted.problem(), planted.truth, SIGMA).points.isfinite().all()
+
+
+LOSSES = [("squared", 1.0), ("huber", 1.0), ("huber", 0.1), ("cauchy", 1.0), ("cauchy", 0.3)]
+
+
+@pytest.mark.parametrize(("loss", "scale"), LOSSES)
+def test_the_estimated_sigma_is_the_effective_one_of_gaussian_noise(plant, loss, scale):
+    """One camera that sees many known points. The estimate itself is known to 1.4 %, for robust losses to about 2 %."""
+    seen = plant(cameras=1, points=1200, noise=0.5)
+    report = adjust_pose(seen.truth, seen.observations.pixels, BundleOptions(loss=loss, loss_scale=scale))
+
+    found = estimate_pixel_sigma(report.problem, report.state)
+
+    assert found == pytest.approx(_effective_sigma(0.5, loss, scale), rel=0.05)
+    assert uncertainty(report.problem, report.state).pixel_sigma == found
+
+
+@pytest.mark.parametrize(
+    ("loss", "scale", "within"), [("squared", 1.0, 0.07), ("huber", 0.5, 0.1), ("cauchy", 1.0, 0.1)]
+)
+def test_it_is_so_too_where_a_third_of_what_was_measured_goes_into_unknowns(plant, loss, scale, within):
+    planted = plant(cameras=8, points=150, noise=0.5)
+    report = planted.adjusted(planted.truth, loss=loss, loss_scale=scale, terms=[planted.gravity])
+
+    found = estimate_pixel_sigma(report.problem, report.state)
+
+    assert 0.2 < report.problem.unknowns_per_residual < 0.4
+    assert found == pytest.approx(_effective_sigma(0.5, loss, scale), rel=within)
+
+
+def test_a_robust_loss_is_at_most_a_little_worse_than_least_squares_and_small_scales_approach_the_median():
+    """The oracle of the test above: the median of two coordinates has the efficiency pi / 4."""
+    assert _effective_sigma(0.5, "squared", 1.0) == pytest.approx(0.5)
+    assert _effective_sigma(0.5, "huber", 100.0) == pytest.approx(0.5)
+    assert _effective_sigma(0.5, "cauchy", 100.0) == pytest.approx(0.5, rel=1e-3)
+    assert _effective_sigma(0.5, "huber", 1e-3) == pytest.approx(0.5 * (4.0 / torch.pi) ** 0.5, rel=1e-2)
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_wrong_observations_hardly_raise_the_estimate_of_a_robust_loss(plant, draw, loss):
+    planted = plant(cameras=8, points=150, noise=0.5)
+    wrong = planted.with_wrong_observations(draw)
+
+    sigma = {
+        name: estimate_pixel_sigma(report.problem, report.state)
+        for name in (loss, "squared")
+        for report in [wrong.adjusted(planted.truth, loss=name, loss_scale=0.5, terms=[planted.gravity])]
+    }
+
+    assert 0.45 < sigma[loss] < 0.75
+    assert sigma["squared"] > 2.0
+
+
+def test_an_impossible_observation_says_nothing_about_the_noise(plant):
+    planted = plant(cameras=4, points=40, noise=0.5)
+    problem = planted.problem()
+    points = planted.truth.points.clone()
+    points[0] = planted.truth.center.mean(dim=0) + torch.tensor((0.0, 0.0, 500.0))
+    of_first = planted.observations.point == 0
+
+    errors = problem.squared_errors(replace(planted.truth, points=points))
+
+    assert len(errors) == int((~of_first).sum())
+    assert errors.amax() < 25.0
+
+
+def test_over_many_draws_errors_are_as_large_as_their_covariances_say(plant, draw):
+    """Gravity and centres are measured with noise of their own; half a pixel of noise, index ratio and plane free.
+
+    Over n draws the mean of a chi-squared variable over its degrees of freedom d deviates by sqrt(2 / (n d)).
+    """
+    planted = plant(cameras=5, points=40)
+    truth, seen, draws = planted.truth, planted.observations, 60
+    solver = LevenbergMarquardtOptions(max_iterations=30, function_tolerance=1e-7)
+    options = planted.problem(pixel_sigma=0.5, refine=WATER, refine_unseen=True, solver=solver).options
+    information = 4.0 * torch.eye(3, dtype=torch.float64).expand(5, 3, 3)
+    sizes: dict[str, list[torch.Tensor]] = {"kept": [], "points": [], "index": []}
+    for _ in range(draws):
+        tilt = torch.linalg.cross(planted.down_in_cam, 0.01 * draw.normal(5, 3))
+        terms = [
+            GravityPrior(planted.down_in_cam + tilt, 0.01),
+            CenterPrior(torch.arange(5), truth.center + 0.5 * draw.normal(5, 3), information),
+        ]
+        noisy = Observations(seen.camera, seen.point, seen.pixels + 0.5 * draw.normal(len(seen), 2))
+
+        report = adjust(truth, noisy, options, terms=terms)
+        told = uncertainty(report.problem, report.state, 0.5)
+
+        kept, points = _error(report.state, truth)
+        sizes["kept"].append(kept @ torch.linalg.solve(told.covariance, kept) / len(kept))
+        solved = torch.linalg.solve(told.points, points[..., None])[..., 0]
+        sizes["points"].append((points * solved).sum(dim=-1).mean() / 3.0)
+        sizes["index"].append((report.state.index_ratio - truth.index_ratio) ** 2 / told.index_ratio**2)
+
+    mean = {name: float(torch.stack(values).mean()) for name, values in sizes.items()}
+    assert mean["kept"] == pytest.approx(1.0, abs=3.0 * (2.0 / (34 * draws)) ** 0.5)
+    assert mean["points"] == pytest.approx(1.0, abs=0.12)
+    assert mean["index"] == pytest.approx(1.0, abs=3.0 * (2.0 / draws) ** 0.5)
+
+
+@pytest.mark.parametrize(("loss", "scale"), [("huber", 0.25), ("cauchy", 0.5)])
+def test_so_they_are_with_a_robust_loss_and_the_sigma_that_is_estimated(plant, draw, loss, scale):
+    planted = plant(cameras=1, points=100)
+    truth, draws = planted.truth, 40
+    solver = LevenbergMarquardtOptions(max_iterations=30, function_tolerance=1e-7)
+    options = BundleOptions(loss=loss, loss_scale=scale, solver=solver)
+    sizes = []
+    for _ in range(draws):
+        report = adjust_pose(truth, planted.observations.pixels + 0.5 * draw.normal(100, 2), options)
+        told = uncertainty(report.problem, report.state)
+
+        error = _error(report.state, truth)[0][:6]
+        sizes.append(error @ torch.linalg.solve(told.covariance, error) / 6.0)
+
+    assert float(torch.stack(sizes).mean()) == pytest.approx(1.0, abs=3.0 * (2.0 / (6 * draws)) ** 0.5)
+
+
+def _error(state, truth):
+    """Of all reduced unknowns (rotations, centres, index ratio, tilts, height), and of the points."""
+    pose = torch.cat((so3_log(state.rotation @ truth.rotation.mT), state.center - truth.center), dim=-1)
+    normal, offset = state.planes
+    water = torch.stack((state.index_ratio - truth.index_ratio, -normal[0, 1], normal[0, 0], offset[0]))
+    return torch.cat((pose.flatten(), water)), state.points - truth.points
+
+
+def _effective_sigma(sigma, loss, scale):
+    """Of the M-estimator of the centre of a normal distribution in the plane: the
+    root of E[psi^2 / 2] over the mean slope of psi along an axis, psi' along the radius and psi / r across."""
+
+    def weight(r):
+        return {
+            "squared": lambda: 1.0,
+            "huber": lambda: min(1.0, scale / r),
+            "cauchy": lambda: 1.0 / (1.0 + (r / scale) ** 2),
+        }[loss]()
+
+    def slope(r):
+        return {
+            "squared": lambda: 1.0,
+            "huber": lambda: float(r < scale),
+            "cauchy": lambda: (1.0 - (r / scale) ** 2) / (1.0 + (r / scale) ** 2) ** 2,
+        }[loss]()
+
+    def mean(function):
+        def times_density(r):
+            return function(r) * r / sigma**2 * torch.exp(torch.tensor(-0.5 * (r / sigma) ** 2)).item()
+
+        return quad(times_density, 0.0, 10.0 * sigma, points=[min(scale, 9.0 * sigma)], limit=200)[0]
+
+    spread = mean(lambda r: 0.5 * (weight(r) * r) ** 2)
+    return spread**0.5 / mean(lambda r: 0.5 * (slope(r) + weight(r)))
+
+
+def _level(planted, draw):
+    """The same scene with all cameras looking straight down, and what they see then."""
+    turn = torch.diag(torch.tensor((1.0, -1.0, -1.0), dtype=torch.float64)).expand(5, 3, 3)
+    truth = replace(planted.truth, rotation=turn)
+    camera, point = torch.arange(5).repeat_interleave(20), torch.arange(20).repeat(5)
+    pixels, valid = truth.cameras(planted.links, camera).project(truth.points[point])
+    assert valid.all()
+    noisy = pixels + 0.1 * draw.normal(*pixels.shape)
+    order = torch.argsort(point, stable=True)
+    return replace(planted, truth=truth, observations=Observations(camera[order], point[order], noisy[order]))
+
+
+def _bordered_inverse(jacobian, null_space):
+    """Of [H C; C^T 0]: the covariance of least trace of what is kept. Zero for what nothing depends on."""
+    alive = (jacobian != 0.0).any(dim=0).nonzero()[:, 0]
+    unit = jacobian[:, alive].norm(dim=0)
+    scaled = jacobian[:, alive] / unit
+    border = torch.zeros(jacobian.shape[1], 0 if null_space is None else null_space.shape[1], dtype=torch.float64)
+    if null_space is not None:
+        border[: len(null_space)] = null_space
+    border = torch.linalg.qr(border[alive] / unit[:, None]).Q
+    count = border.shape[1]
+    upper = torch.cat((scaled.T @ scaled, border), dim=1)
+    lower = torch.cat((border.T, torch.zeros(count, count, dtype=torch.float64)), dim=1)
+    inverse = torch.linalg.inv(torch.cat((upper, lower)))[: len(alive), : len(alive)] / unit[:, None] / unit
+    whole = torch.zeros(jacobian.shape[1], jacobian.shape[1], dtype=torch.float64)
+    whole[alive[:, None], alive] = inverse
+    return whole
+
+
+def _assert_same(actual, expected):
+    torch.testing.assert_close(actual, expected, rtol=1e-6, atol=1e-8 * float(expected.abs().max()))

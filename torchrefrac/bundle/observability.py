@@ -74,22 +74,28 @@ def determinations(problem: BundleProblem, state: BundleState, pixel_sigma: floa
     layout = replace(problem.layout, water=tuple(WATER_WIDTH))
     names = (*layout.lens, "index_ratio")
     vague = [GlobalPrior(name, state, VAGUE[name]) for name in names]
+    expected = problem.options.expected
+    known = [
+        GlobalPrior(name, state, sigma)
+        for name in WATER_WIDTH
+        if name not in problem.layout.water and (sigma := expected.sigma_of(name)) is not None
+    ]
     options = replace(problem.options, loss="squared", pixel_sigma=pixel_sigma)
-    asked = problem.with_layout(state, layout, options, [*problem.terms, *vague])
+    asked = problem.with_layout(state, layout, options, [*problem.terms, *vague, *known])
     system = asked.linearize(state).system
     found = Covariance.of(system)
     dead = torch.nn.functional.pad(system.dead, (0, 1), value=True)
     gauge = system.null_space
-    motions, _ = similarity_motions(state, layout)
-    expected = problem.options.expected
+    motions, held = similarity_motions(state, layout)
     height = _mean_height(problem, state)
+    weights = _camera_weights(layout, height, torch.cat((motions, held)))
 
     def deviation(column: int) -> float:
         if bool(dead[column]):
             return math.inf
         functional = motions.new_zeros(layout.size)
         functional[column] = 1.0
-        return pixel_sigma * _deviation(found.kept, _against_cameras(functional, motions, layout))
+        return pixel_sigma * _deviation(found.kept, _against_cameras(functional, motions, held, weights))
 
     result = []
     for name in layout.lens:
@@ -100,7 +106,7 @@ def determinations(problem: BundleProblem, state: BundleState, pixel_sigma: floa
     tilt = max(deviation(column) for plane in planes for column in plane[:2])
     result.append(_judged("plane_tilt", tilt, 180.0 / math.pi, expected.sigma_of("plane_tilt")))
     result.append(_judged("plane_height", max(deviation(p[2]) for p in planes), 1.0 / height, expected.plane_height))
-    result.append(Determination("scale", _scale_deviation(found.kept, motions, gauge, layout) * pixel_sigma))
+    result.append(Determination("scale", _scale_deviation(found.kept, motions, held, weights, gauge) * pixel_sigma))
     return result
 
 
@@ -109,25 +115,34 @@ def _judged(name: str, sigma: float, unit: float, prior: float | None) -> Determ
     return Determination(name, math.inf if beyond else sigma * unit, None if prior is None else prior * unit)
 
 
-def _against_cameras(functional: Tensor, motions: Tensor, layout: Layout) -> Tensor:
+def _camera_weights(layout: Layout, height: float, motions: Tensor) -> Tensor:
+    """Of turns and shifts of the cameras (size + k, 1), as large as what they do in an image; zero for the rest. The
+    last k are held, poses first."""
+    pose = motions.new_tensor((1.0, 1.0, 1.0, *3 * (1.0 / height,))).expand(layout.num_cameras, 6)
+    weights = motions.new_zeros(len(motions), 1)
+    weights[: pose.numel(), 0] = pose.flatten()
+    if layout.held is not None:
+        weights[layout.size : layout.size + pose.numel(), 0] = pose.flatten()
+    return weights
+
+
+def _against_cameras(functional: Tensor, motions: Tensor, held: Tensor, weights: Tensor) -> Tensor:
     """`functional` (size) of a scene that is moved so that its cameras, as a whole, stay where they are: Baarda's
-    S-transformation. Similarities (size, 7) do not change what it gives."""
-    basis = torch.linalg.qr(motions).Q
-    cameras = basis.clone()
-    cameras[6 * layout.num_cameras :] = 0.0
-    moved = torch.linalg.lstsq(basis.T @ cameras, (basis.T @ functional)[:, None]).solution[:, 0]
-    return functional - cameras @ moved
+    S-transformation. Similarities (size, 7), and of what is held (k, 7), do not change what it gives."""
+    basis = torch.linalg.qr(torch.cat((motions, held))).Q
+    cameras = weights.square() * basis
+    moved = torch.linalg.lstsq(basis.T @ cameras, (basis[: len(functional)].T @ functional)[:, None]).solution
+    return functional - (cameras @ moved)[: len(functional), 0]
 
 
-def _scale_deviation(kept: Tensor, motions: Tensor, gauge: Tensor | None, layout: Layout) -> float:
-    """Of the scale of all cameras about the water; inf where the gauge is free to change it."""
-    motion = motions[:, SCALE].clone()
-    if gauge is not None:
-        rest = motion - gauge @ (gauge.T @ motion)
-        if float(rest.norm()) <= UNNOTICED * float(motion.norm()):
-            return math.inf
-    motion[6 * layout.num_cameras :] = 0.0
-    return _deviation(kept, motion / motion.square().sum())
+def _scale_deviation(kept: Tensor, motions: Tensor, held: Tensor, weights: Tensor, gauge: Tensor | None) -> float:
+    """Of the scale of all cameras, wherever they are and however turned; inf where the gauge is free to change it."""
+    cameras = weights * torch.cat((motions, held))
+    shape = torch.linalg.qr(cameras).Q[:, SCALE]  # scale comes last: what shifts and turns cannot do
+    functional = (weights[:, 0] * shape)[: len(motions)]
+    if gauge is not None and float((functional @ gauge).norm()) > UNNOTICED * float(functional.norm()):
+        return math.inf
+    return _deviation(kept, functional) / abs(float(shape @ cameras[:, SCALE]))
 
 
 def _deviation(kept: Tensor, functional: Tensor) -> float:

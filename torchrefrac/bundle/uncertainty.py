@@ -77,13 +77,15 @@ def estimate_pixel_sigma(problem: BundleProblem, state: BundleState) -> float:
     square = problem.squared_errors(state)
     _, weight = robust(square, options.loss, options.loss_scale)
     turned = 0.5 * (weight.square() * square).sum()
-    redundant = 1.0 - min(problem.unknowns_per_residual, 0.99)
-    variance = turned / (len(square) * redundant) / _mean_slope(square, weight, options.loss).square()
+    taken = min(problem.unknowns_per_residual, 0.99)
+    slopes = _slopes(weight, options.loss)
+    mean = slopes.mean()
+    fitted = 1.0 + taken * (slopes - mean).square().mean() / mean.square()  # K of Huber and Ronchetti, section 7.6
+    variance = turned / (len(square) * (1.0 - taken)) * (fitted / mean).square()
     return float(variance.sqrt())
 
 
-def _mean_slope(square: Tensor, weight: Tensor, loss: LossName) -> Tensor:
-    """The mean derivative of the weighted residual w r in r, along either coordinate: E[w + w' s]."""
-    if loss == "huber":
-        return torch.where(weight < 1.0, 0.5 * weight, weight).mean()
-    return (weight.square() if loss == "cauchy" else weight).mean()
+def _slopes(weight: Tensor, loss: LossName) -> Tensor:
+    """Derivatives of the weighted residual w r along r and across (2, N): w + 2 w' s and w."""
+    along = {"huber": torch.where(weight < 1.0, 0.0, weight), "cauchy": weight * (2.0 * weight - 1.0)}
+    return torch.stack((along.get(loss, weight), weight))

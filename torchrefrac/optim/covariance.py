@@ -38,8 +38,9 @@ class Covariance:
         found = GaussNewtonInverse.of(system)
         inverse = torch.cholesky_inverse(found.factor)
         inverse.mul_(found.scale[:, None]).mul_(found.scale)
-        if system.null_space is not None:
-            inverse.addmm_(system.null_space / found.stiffness, system.null_space.T, alpha=-1.0)
+        null_space = found.elimination.system.null_space
+        if null_space is not None:
+            inverse.addmm_(null_space / found.stiffness, null_space.T, alpha=-1.0)
         inverse[found.dead] = 0.0
         inverse[:, found.dead] = 0.0
         return cls(found.elimination, inverse)

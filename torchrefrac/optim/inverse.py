@@ -1,13 +1,15 @@
 """The inverse of the Gauss-Newton matrix as an operator, factorised once."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from torchrefrac.optim.dense import prepare
 from torchrefrac.optim.elimination import Elimination
-from torchrefrac.optim.normal_equations import NormalEquations
+from torchrefrac.optim.normal_equations import NEGLIGIBLE, NormalEquations
+
+ROUNDING = 0.1  # of a zero eigenvalue, in units of the size of the matrix and the precision
 
 
 class SingularError(ArithmeticError):
@@ -30,20 +32,24 @@ class GaussNewtonInverse:
     @classmethod
     def of(cls, system: NormalEquations) -> "GaussNewtonInverse":
         """Factorise undamped. Raises SingularError where the system is singular beyond its null space."""
+        if system.null_space is not None:  # as the unknowns that something depends on see it
+            moving = torch.where(system.dead[:, None], 0.0, system.null_space)
+            system = replace(system, null_space=torch.linalg.qr(moving).Q)
         elimination = Elimination(system, 0.0)
         matrix, _ = elimination.reduced()
         scale, stiffness = prepare(matrix, system)
         factor, info = torch.linalg.cholesky_ex(matrix)
-        if int(info):
+        if int(info) or _smallest_eigenvalue(factor) < ROUNDING * len(factor) * torch.finfo(factor.dtype).eps:
             raise SingularError("the normal equations are singular")
         return cls(elimination, factor, scale, stiffness, system.dead)
 
     def __call__(self, vector: Tensor) -> Tensor:
         """The inverse times a vector (size + 3 n)."""
         plan = self.elimination.system.plan
-        right, by_point = vector[: plan.size], vector[plan.size :].view(-1, 3)
+        right, by_point = torch.where(self.dead, 0.0, vector[: plan.size]), vector[plan.size :].view(-1, 3)
         points = vector.new_zeros(3, plan.num_places)
         points[:, plan.place_of_point] = by_point.T
+        points *= (self.elimination.system.point_hessian[[0, 2, 5]] > NEGLIGIBLE).any(dim=0)
         reduced = right - self.elimination.along_cameras(self.elimination.times_inverse(points))
         kept = torch.cholesky_solve((reduced * self.scale)[:, None], self.factor)[:, 0] * self.scale
         kept = torch.where(self.dead, 0.0, kept)
@@ -57,3 +63,11 @@ class GaussNewtonInverse:
             return torch.zeros_like(vector)
         kept = system.null_space @ (self.stiffness * (system.null_space.T @ vector[: system.plan.size]))
         return torch.nn.functional.pad(kept, (0, len(vector) - len(kept)))
+
+
+def _smallest_eigenvalue(factor: Tensor) -> float:
+    """Of L L^T, by inverse iteration. A small pivot need not betray it."""
+    vector = torch.arange(len(factor), dtype=factor.dtype, device=factor.device).cos()[:, None]
+    for _ in range(3):
+        vector = torch.cholesky_solve(vector / vector.norm(), factor)
+    return 1.0 / float(vector.norm())

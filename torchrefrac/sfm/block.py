@@ -8,10 +8,9 @@ from torch import Tensor
 
 from torchrefrac.bundle import BundleState, Links, Observations
 from torchrefrac.camera import Intrinsics, RefractiveCamera
-from torchrefrac.minimal import triangulate
 from torchrefrac.refinement import refine_points
-from torchrefrac.refraction import refract_rays
 from torchrefrac.scene import Alignment, Water
+from torchrefrac.sfm.meeting_points import meeting_points
 
 SET_ASIDE = 3
 
@@ -61,10 +60,11 @@ class Block:
             least=least,
         )  # fmt: skip
 
-    def with_places(self, wanted: Tensor, pixel_sigma: float, limit: float | None = None) -> "Block":
+    def with_places(self, wanted: Tensor, pixel_sigma: float, loss_scale: float, limit: float | None = None) -> "Block":
         """The points `wanted` (n) where all their observations in the images meet best; not placed where they do not.
 
-        limit: the largest error that an observation may have there, pixels. While a point has a larger one its worst
+        loss_scale: beyond it errors count linearly, as a single wrong observation would spoil a point otherwise. limit:
+        the largest error that an observation may have there; all in pixels. While a point has a larger one its worst
         observation is set aside, up to three times and down to two.
         """
         rows = (self.images[self.seen.camera] & wanted[self.seen.point]).nonzero()[:, 0]
@@ -76,8 +76,8 @@ class Block:
             ids, point = torch.unique_consecutive(self.seen.point[rows], return_inverse=True)
             seen = Observations(self.seen.camera[rows], point, self.seen.pixels[rows])
             cameras = self.state.cameras(self.links, seen.camera)
-            start = _meeting_points(self.state, self.links, seen, len(ids))
-            found = refine_points(cameras, seen.pixels, point, start, pixel_sigma, limit)
+            start = meeting_points(self.state, self.links, seen, len(ids))
+            found = refine_points(cameras, seen.pixels, point, start, pixel_sigma, loss_scale)
             error = _distance(cameras, found.points[point], seen.pixels)
             worst = error.new_zeros(len(ids)).scatter_reduce(0, point, error, "amax")
             good = found.valid if limit is None else found.valid & (worst < limit)
@@ -184,25 +184,3 @@ def _distance(cameras: RefractiveCamera, points: Tensor, pixels: Tensor) -> Tens
     """In the image, between points (N) and pixels (N, 2); inf where a point cannot be seen."""
     projected, possible = cameras.project(points)
     return torch.where(possible, (projected - pixels).norm(dim=-1), torch.inf)
-
-
-def _meeting_points(state: BundleState, links: Links, seen: Observations, count: int) -> Tensor:
-    """Points (count, 3) next to all their rays: bent by the water, or straight where these meet above its surface.
-
-    Tracks of one length are a table; there are not many lengths.
-    """
-    cameras = state.cameras(links, seen.camera)
-    in_air = cameras.view_directions(seen.pixels)
-    origins, in_water, _ = refract_rays(cameras.center_in_world, in_air, cameras.interface)
-    plane = cameras.plane_in_world()
-    length = torch.bincount(seen.point, minlength=count)
-    first = length.cumsum(dim=0) - length
-    points = seen.pixels.new_zeros(count, 3)
-    for n in length.unique().tolist():
-        ids = (length == n).nonzero()[:, 0]
-        rows = first[ids, None] + torch.arange(n)
-        wet, _ = triangulate(origins[rows], in_water[rows])
-        dry, _ = triangulate(cameras.center_in_world[rows], in_air[rows])
-        above = plane.indexed(rows, (len(seen),)).signed_distance(wet[:, None]).mean(dim=-1) >= 0.0
-        points[ids] = torch.where(above[:, None], dry, wet)
-    return points

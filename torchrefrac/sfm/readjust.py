@@ -82,7 +82,7 @@ class Work:
         known = torch.cat((torch.zeros(self.ties, dtype=torch.bool), known_marks(self.survey)))
         block = Block.of(with_marks(self.alignment, self.survey), water, least=2 - known.long())
         self._check(replace(block, placed=torch.ones_like(block.placed)))
-        block = block.with_places(~block.placed, self.options.bundle.pixel_sigma)
+        block = block.with_places(~block.placed, self.options.bundle.pixel_sigma, self.options.max_error)
         block = replace(block, placed=block.placed | known).within(torch.inf)
         if not bool(block.active.any()):
             raise UnadjustableError(
@@ -101,7 +101,7 @@ class Work:
             before, limit = block, options.max_error if i == options.rounds - 1 else self._generous(block)
             anew = block.doubtful(limit)
             anew[self.ties :] &= ~block.placed[self.ties :]  # a mark is where measurements have it
-            block = block.with_places(anew, options.bundle.pixel_sigma, limit).within(limit, support)
+            block = block.with_places(anew, options.bundle.pixel_sigma, options.max_error, limit).within(limit, support)
             if i == 0 or report.status != "converged" or not block.same_parts_as(before):
                 block, report = self.adjust(block, options.bundle)
         return block, report

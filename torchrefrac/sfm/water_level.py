@@ -17,6 +17,7 @@ AMONG_POINTS = (0.5, 0.75, 0.9)  # quantiles of the heights of points: land may 
 ABOVE_POINTS = (0.1, 0.4, 0.7, 0.95)  # of the way from the highest points to the lowest camera
 HIGHEST = 0.99
 ITERATIONS = 15
+AS_GOOD = 1.1
 
 
 def find_offset(
@@ -26,7 +27,8 @@ def find_offset(
     options: ReadjustOptions | None = None,
     recorder: Recorder | None = None,
 ) -> float:
-    """The offset of the one plane of `water`, of those tried, from which a short adjustment fits the images best.
+    """The offset of the one plane of `water`, of those tried, from which a short adjustment fits the images best; where
+    several do about as well, that with which the cameras stay nearest to where they are.
 
     It is a start for an adjustment in which the height of the plane varies, or in which nothing fixes the scale of the
     cameras: about a plane that they have, cameras find their scale by themselves as long as the plane lies above what
@@ -37,12 +39,14 @@ def find_offset(
     short = replace(bundle, solver=replace(bundle.solver, max_iterations=min(ITERATIONS, bundle.solver.max_iterations)))
     work = Work(alignment, survey or Survey.empty(alignment.names), replace(options, bundle=short))
     tried = candidate_offsets(alignment, water.normal[0]).tolist()
-    costs = []
+    costs, moved = [], []
     for offset in recorder.track(tried, len(tried), "water level", "height"):
         start = work.start(replace(water, offset=torch.tensor([offset], dtype=water.offset.dtype)))
         block, _ = work.adjust(start, work.first(start))
         costs.append(_cost(block, options.max_error))
-    return tried[costs.index(min(costs))]
+        moved.append(float((block.state.center - alignment.center).norm(dim=-1).median()))
+    good = [i for i, cost in enumerate(costs) if cost <= AS_GOOD * min(costs)]
+    return tried[min(good, key=moved.__getitem__)]
 
 
 def candidate_offsets(alignment: Alignment, normal: Tensor) -> Tensor:

@@ -1,0 +1,346 @@
+"""`torchrefrac adjust` as a person uses it: an alignment in files goes in, a better one comes out."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from planted_alignments import plant_alignment
+
+from torchrefrac import readjustment
+from torchrefrac.cli import CONF, adjust_options
+from torchrefrac.config import AdjustOptions, OptionError, PlaneOptions, build
+from torchrefrac.scene import (
+    Reconstruction,
+    load_points,
+    read_alignment,
+    read_colmap,
+    read_water,
+    write_cameras,
+    write_colmap,
+    write_tracks,
+    write_water,
+)
+
+RESULTS = {"colmap", "water.json", "points.ply", "cameras.json", "tracks.npz", "metrics.json", "events", ".hydra"}
+
+
+@pytest.fixture
+def planted(make_basin, draw):
+    """Six cameras above 150 points, 0.3 pixels of noise."""
+    return plant_alignment(make_basin(cameras=6, points=150, seen_by=3), draw, noise=0.3)
+
+
+@pytest.fixture
+def given(planted, draw, tmp_path):
+    """Folder of the alignment that a pinhole makes of it, as text."""
+    write_colmap(planted.as_of_a_pinhole(draw), tmp_path / "given")
+    return tmp_path / "given"
+
+
+def _write_truth(planted, folder):
+    """`truth.json` of the cameras, in centimetres."""
+    truth = planted.truth
+    poses = zip(truth.names, truth.rotation.tolist(), truth.center.tolist(), strict=True)
+    images = [{"name": n, "cam_from_world_rotation": r, "center_in_world": c} for n, r, c in poses]
+    folder.mkdir(exist_ok=True)
+    (folder / "truth.json").write_text(json.dumps({"length_unit": "cm", "images": images}))
+
+
+def _write_survey(path, images=None, marks=None):
+    content = {"format": "torchrefrac-survey/1", "images": images or {}, "marks": marks or {}}
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["text", "binary"])
+def test_a_colmap_model_goes_in_and_comes_out_right(torchrefrac, planted, draw, metrics, tmp_path, kind):
+    write_colmap(planted.as_of_a_pinhole(draw), tmp_path / "given" / "sparse" / "0", binary=kind == "binary")
+    _write_truth(planted, tmp_path / "given")
+
+    ended = torchrefrac("adjust", "alignment=given", "index_ratio=1.33", f"format={kind}", "out=run")
+
+    assert (ended.status, ended.err.count("error")) == (0, 0)
+    run = tmp_path / "run"
+    assert {path.name for path in run.iterdir()} == RESULTS
+    ending = ".bin" if kind == "binary" else ".txt"
+    assert {path.name for path in (run / "colmap").iterdir()} == {
+        f"{n}{ending}" for n in ("cameras", "images", "points3D")
+    }
+    adjusted = read_colmap(run / "colmap")
+    assert float(planted.off(adjusted).max()) < 0.2
+    assert float(planted.off(read_alignment(tmp_path / "given")).max()) > 0.5
+    found = metrics(run)
+    assert (found["status"], found["command"], found["adjustment"]) == ("complete", "adjust", "converged")
+    assert (found["images"], found["adjusted_images"], found["points"]) == (6, 6, len(adjusted.points))
+    assert found["reprojection_median_px"] < 1.0 < found["reprojection_median_before_px"]
+    assert found["camera_rms_cm"] < 0.2
+    assert 0.0 < found["camera_shift_median_unit"] <= found["camera_shift_max_unit"] < 5.0
+    assert found["index_ratio_sigma"] is None
+    assert found["held"] == {}
+    assert any(line.startswith("scale, relative: not determined") for line in found["determined"])
+    assert "6 of 6 images adjusted, 150 points (0 dropped)" in ended.out
+    assert "against truth (4-dof alignment): cameras" in ended.out
+    assert max(map(len, ended.out.splitlines())) <= 100
+
+
+def test_points_carry_their_standard_deviations(torchrefrac, planted, given, tmp_path):
+    torchrefrac("adjust", f"alignment={given}", "index_ratio=1.33", "out=run")
+
+    header = (tmp_path / "run" / "points.ply").read_bytes().split(b"end_header")[0]
+    points, colors = load_points(tmp_path / "run" / "points.ply")
+    assert b"property float sigma" in header
+    assert torch.equal(colors, planted.truth.colors)
+    assert float((points - planted.truth.points).norm(dim=-1).median()) < 3.0
+
+
+def test_the_result_is_an_alignment_that_can_be_adjusted_again(torchrefrac, planted, given, metrics, tmp_path):
+    torchrefrac("adjust", f"alignment={given}", "index_ratio=1.33", "out=first")
+
+    ended = torchrefrac("adjust", "alignment=first", "water.path=first/water.json", "out=second")
+
+    assert ended.status == 0
+    assert metrics(tmp_path / "second")["camera_shift_max_unit"] < 1e-3
+    assert read_water(tmp_path / "second" / "water.json").index_ratio == 1.33
+    again = read_alignment(tmp_path / "second")
+    assert again.names == planted.truth.names
+    torch.testing.assert_close(again.center, read_colmap(tmp_path / "second" / "colmap").center)
+
+
+def test_the_index_ratio_is_found_where_it_may_vary(torchrefrac, planted, given, metrics, tmp_path):
+    ended = torchrefrac("adjust", f"alignment={given}", "index_ratio=1.25", "bundle.refine=[index_ratio]", "out=run")
+
+    assert ended.status == 0
+    found = metrics(tmp_path / "run")
+    assert abs(found["index_ratio"] - 1.33) < 4.0 * found["index_ratio_sigma"] < 0.05
+    assert read_water(tmp_path / "run" / "water.json").index_ratio == found["index_ratio"]
+    assert f"index ratio {found['index_ratio']:.4f} +- " in ended.out
+
+
+def test_a_survey_fixes_the_scale(torchrefrac, planted, draw, metrics, tmp_path):
+    pinhole = planted.as_of_a_pinhole(draw)
+    write_colmap(replace(pinhole, center=0.3 * pinhole.center, points=0.3 * pinhole.points), tmp_path / "given")
+    heights = {
+        name: {"height": float(center[2]), "height_sigma": 0.05}
+        for name, center in zip(planted.truth.names, planted.truth.center, strict=True)
+    }
+    _write_survey(tmp_path / "survey.json", heights | {"other.jpg": {"height": 3.0, "height_sigma": 1.0}})
+
+    ended = torchrefrac("adjust", "alignment=given", "index_ratio=1.33", "survey=survey.json", "out=run")
+
+    assert ended.status == 0
+    adjusted = read_colmap(tmp_path / "run" / "colmap")
+    torch.testing.assert_close(adjusted.center[:, 2], planted.truth.center[:, 2], rtol=0.0, atol=0.15)
+    assert "images of the survey that the alignment does not have: other.jpg" in ended.out
+    assert not any(line == "scale, relative: not determined" for line in metrics(tmp_path / "run")["determined"])
+
+
+def test_marks_are_adjusted_too_but_are_not_in_the_model(torchrefrac, planted, given, metrics, tmp_path):
+    marks = {}
+    for point in range(4):
+        rows = (planted.truth.point == point).nonzero()[:, 0].tolist()
+        seen = {planted.truth.names[int(planted.truth.image[row])]: planted.truth.pixels[row].tolist() for row in rows}
+        marks[f"m{point}"] = {"observations": seen, "position": planted.truth.points[point].tolist(), "sigma": 0.02}
+    _write_survey(tmp_path / "survey.json", marks=marks)
+
+    torchrefrac("adjust", f"alignment={given}", "index_ratio=1.33", "survey=survey.json", "out=run")
+
+    adjusted = read_colmap(tmp_path / "run" / "colmap")
+    assert len(adjusted.points) == 150
+    torch.testing.assert_close(adjusted.center, planted.truth.center, rtol=0.0, atol=0.5)
+    assert metrics(tmp_path / "run")["marks"]["m3"] == pytest.approx(planted.truth.points[3].tolist(), abs=0.1)
+
+
+def test_several_lenses_and_planes_go_through(torchrefrac, make_basin, draw, metrics, tmp_path):
+    planted = plant_alignment(make_basin(cameras=6, points=100, seen_by=3), draw, 0.2, lenses=2, planes=2)
+    write_colmap(planted.as_of_a_pinhole(draw, 0.1), tmp_path / "given")
+    write_water(planted.water, tmp_path / "given" / "water.json")
+
+    ended = torchrefrac("adjust", "alignment=given", "water.path=given/water.json", "out=run")
+
+    assert ended.status == 0
+    assert {path.name for path in (tmp_path / "run").iterdir()} == RESULTS - {"cameras.json"}
+    adjusted = read_colmap(tmp_path / "run" / "colmap")
+    assert [lens.width for lens in adjusted.lenses] == [1024, 1040]
+    assert torch.equal(adjusted.lens, planted.truth.lens)
+    assert metrics(tmp_path / "run")["reprojection_median_px"] < 0.4
+    water = read_water(tmp_path / "run" / "water.json")
+    assert torch.equal(water.planes_of(adjusted.names), planted.water.planes_of(adjusted.names))
+
+
+def test_the_water_level_is_found(torchrefrac, planted, draw, metrics, tmp_path):
+    pinhole = planted.as_of_a_pinhole(draw)
+    up = pinhole.center.new_tensor((0.0, 0.0, 250.0))
+    write_colmap(replace(pinhole, center=pinhole.center + up, points=pinhole.points + up), tmp_path / "given")
+    _write_truth(planted, tmp_path / "truth")
+
+    ended = torchrefrac("adjust", "alignment=given", "plane.offset=find", "index_ratio=1.33", "truth=truth", "out=run")
+
+    assert ended.status == 0
+    assert metrics(tmp_path / "run")["camera_rms_cm"] < 0.2
+    assert float(read_water(tmp_path / "run" / "water.json").offset) == pytest.approx(250.0, abs=8.0)
+    assert not (tmp_path / "run" / "cameras.json").exists()
+
+
+def test_what_is_not_determined_is_held_and_said(torchrefrac, given, metrics, tmp_path):
+    ended = torchrefrac("adjust", f"alignment={given}", "index_ratio=1", "bundle.refine=[plane_tilt]", "out=run")
+
+    assert ended.status == 0
+    told = "tilt of the water plane against the cameras: not determined"
+    assert metrics(tmp_path / "run")["held"] == {"plane_tilt": told}
+    assert f"not refined: {told}" in ended.out
+
+
+def _save_run(alignment, folder):
+    """As a run leaves it: cameras.json and tracks.npz."""
+    everyone = torch.ones(len(alignment), dtype=torch.bool)
+    scene = Reconstruction(
+        names=alignment.names, registered=everyone, rotation=alignment.rotation, center=alignment.center,
+        intrinsics=alignment.lenses[0], index_ratio=1.0, length_unit="cm", points=alignment.points,
+        colors=alignment.colors, image=alignment.image, point=alignment.point, pixels=alignment.pixels,
+    )  # fmt: skip
+    write_cameras(scene, folder / "cameras.json")
+    write_tracks(scene, folder / "tracks.npz")
+
+
+def test_a_run_is_adjusted_but_not_overwritten(torchrefrac, planted, draw, metrics, tmp_path):
+    folder = tmp_path / "old"
+    _save_run(planted.as_of_a_pinhole(draw), folder)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    refused = torchrefrac("adjust", "alignment=old", "out=old")
+    ended = torchrefrac("adjust", "alignment=old", "index_ratio=1.33", "out=new")
+
+    assert refused.status == 1
+    assert "error: out is" in refused.err
+    assert "where the alignment lies" in refused.err
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert ended.status == 0
+    assert float(planted.off(read_alignment(tmp_path / "new")).max()) < 0.2
+    assert "camera_shift_median_cm" in metrics(tmp_path / "new")
+
+
+def test_a_model_that_no_run_has_written_is_not_overwritten(torchrefrac, given, planted, tmp_path):
+    write_colmap(planted.truth, tmp_path / "mine" / "colmap")
+
+    ended = torchrefrac("adjust", f"alignment={given}", "out=mine")
+
+    assert ended.status == 1
+    assert "holds a COLMAP model that no run has written" in ended.err
+    assert torch.equal(read_colmap(tmp_path / "mine" / "colmap").points, planted.truth.points)
+
+
+def test_a_folder_that_is_used_again_tells_of_the_last_adjustment_only(torchrefrac, given, tmp_path):
+    torchrefrac("adjust", f"alignment={given}", "index_ratio=1.33", "out=run")
+
+    again = torchrefrac("adjust", f"alignment={given}", "plane.offset=0.5", "format=binary", "out=run")
+    failed = torchrefrac("adjust", f"alignment={given}", "survey=none.json", "out=run")
+
+    assert (again.status, failed.status) == (0, 1)
+    assert {path.name for path in (tmp_path / "run").iterdir()} == {"colmap", "metrics.json", "events", ".hydra"}
+    assert not list((tmp_path / "run" / "colmap").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ([], "alignment is missing; give it on the command line as alignment=VALUE"),
+        (["alignment=nowhere"], "nowhere is not a folder"),
+        (["alignment=given", "survey=none.json"], "none.json does not exist"),
+        (["alignment=given", "water.path=none.json"], "none.json is not a file"),
+        (["alignment=given", "truth=given"], "truth is given, but must be a folder that holds a truth.json"),
+        (["alignment=given", "plane.offset=36"], "not above the water plane: cam00.jpg, cam02.jpg, cam04.jpg"),
+        (["alignment=given", "plane.offset=deep"], "plane.offset is 'deep', but must be a number, or find"),
+        (["alignment=given", "plane.normal=[0,0,0]"], "plane.normal is [0.0, 0.0, 0.0], but must be three numbers"),
+        (["alignment=given", "plane.normal=[0,0,-1]", "plane.offset=find"], "the cameras are not above the points"),
+        (["alignment=given", "index_ratio=0.9"], "index_ratio is 0.9, but must lie between 1 and 3"),
+        (["alignment=given", "rounds=0"], "rounds is 0, but must be finite and at least 1"),
+        (["alignment=given", "held=all"], "held is 'all', but must be one of none, cameras"),
+        (["alignment=given", "format=xml"], "format is 'xml', but must be one of text, binary"),
+        (["alignment=given", "bundle.refine=[depth]"], "bundle.refine[0] is 'depth', but must be one of focal"),
+        (["alignment=given", "water.path=w.json", "plane.offset=1"], "water.path and plane are both given"),
+    ],
+)
+def test_bad_input_is_one_sentence_a_failed_status_and_no_results(
+    torchrefrac, given, metrics, tmp_path, arguments, sentence
+):
+    ended = torchrefrac("adjust", *arguments, "out=run")
+
+    assert ended.status == 1
+    assert f"error: {sentence}" in ended.err
+    assert "Traceback" not in ended.err
+    assert metrics(tmp_path / "run")["status"] == "failed"
+    assert sentence in metrics(tmp_path / "run")["reason"]
+    assert not RESULTS - {"metrics.json", "events", ".hydra"} & {path.name for path in (tmp_path / "run").iterdir()}
+
+
+def test_images_that_nothing_connects_are_named(torchrefrac, planted, metrics, tmp_path):
+    truth = planted.truth
+    near = truth.image < 4
+    keep = torch.where(truth.point % 2 == 0, near, ~near)
+    split = replace(truth, image=truth.image[keep], point=truth.point[keep], pixels=truth.pixels[keep]).cleaned()
+    write_colmap(split, tmp_path / "given")
+
+    ended = torchrefrac("adjust", "alignment=given", "out=run")
+
+    assert ended.status == 1
+    assert "error: no common points connect the images: 2 parts" in ended.err
+    assert "cam04.jpg, cam05.jpg" in metrics(tmp_path / "run")["reason"]
+
+
+def test_an_interrupt_is_told_of(torchrefrac, given, metrics, monkeypatch, tmp_path):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(readjustment, "readjust", interrupted)
+
+    assert torchrefrac("adjust", f"alignment={given}", "out=run").status == 130
+    assert metrics(tmp_path / "run")["status"] == "interrupted"
+
+
+def test_both_commands_explain_themselves(torchrefrac):
+    assert "torchrefrac adjust alignment=DIR" in torchrefrac("--help").out
+    told = torchrefrac("adjust", "--help").out
+    for words in ("plane.offset=find", "survey         path of a survey.json", "loss_scale: 1.0", "alignment: ???"):
+        assert words in told
+    assert "tank_small" not in told
+    assert max(map(len, told.splitlines())) <= 100
+
+
+def _compose(*overrides):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return compose("adjust", overrides=list(overrides))
+
+
+def test_the_yaml_defaults_are_those_of_the_typed_options():
+    found = adjust_options(_compose("alignment=here", "out=there"))
+
+    assert found == AdjustOptions(alignment="here", out="there")
+
+
+def test_the_water_level_is_a_number_or_find():
+    found = [build(PlaneOptions, {"offset": value}, "plane").offset for value in (2, 2.5, "find")]
+
+    assert found == [2.0, 2.5, "find"]
+    assert isinstance(found[0], float)
+    with pytest.raises(OptionError, match=r"plane.offset is None, but must be a number, or find"):
+        build(PlaneOptions, {"offset": None}, "plane")
+    with pytest.raises(OptionError, match=r"plane.offset is inf, but must be finite, or find"):
+        build(PlaneOptions, {"offset": float("inf")}, "plane")
+
+
+@pytest.mark.slow
+def test_the_tank_that_was_reconstructed_without_refraction_is_put_right(torchrefrac, shared_data, metrics, tmp_path):
+    tank = shared_data("tank")
+    torchrefrac("scene=capture", f"scene.path={tank}", "model=none", "out=none")
+
+    ended = torchrefrac(
+        "adjust", "alignment=none", "plane.offset=find", "index_ratio=1.25", "bundle.refine=[index_ratio]",
+        f"truth={tank}", "out=run",
+    )  # fmt: skip
+
+    assert ended.status == 0
+    assert metrics(tmp_path / "none")["camera_rms_cm"] > 2.0
+    assert metrics(tmp_path / "run")["camera_rms_cm"] < 0.15
+    assert metrics(tmp_path / "run")["index_ratio"] == pytest.approx(1.33, abs=0.003)
