@@ -13,7 +13,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torchrefrac import pipeline
 from torchrefrac.scene import load_cameras, load_points
 
-RESULTS = {"cameras.json", "points.ply", "metrics.json", "side_view.png", "features.npz", "matches.npz"}
+RESULTS = {"cameras.json", "points.ply", "metrics.json", "side_view.png", "features.npz", "matches.npz", "tracks.npz"}
 
 
 def test_a_run_leaves_the_promised_files_and_a_right_reconstruction(torchrefrac, small_tank, metrics):
@@ -136,7 +136,7 @@ def test_an_interrupt_leaves_the_finished_stages(torchrefrac, small_tank, metric
     run = small_tank.parent / "run"
     assert metrics(run)["status"] == "interrupted"
     assert metrics(run)["stages"] == ["features", "matching"]
-    assert {"features.npz", "matches.npz"} <= {p.name for p in run.iterdir()}
+    assert {"features.npz", "matches.npz", "tracks.npz"} <= {p.name for p in run.iterdir()}
     assert not (run / "cameras.json").exists()
     assert not list(run.glob(".*partial*"))
 

@@ -29,8 +29,8 @@ def test_the_yaml_defaults_are_those_of_the_typed_options():
     assert run_options(_compose("out=there")).reconstruction == Options()
 
 
-def test_a_yaml_that_is_not_in_a_group_is_the_root():
-    assert [path.name for path in Path(CONF).glob("*.yaml")] == ["config.yaml"]
+def test_a_yaml_that_is_not_in_a_group_is_the_root_of_a_command():
+    assert sorted(path.name for path in Path(CONF).glob("*.yaml")) == ["adjust.yaml", "config.yaml"]
 
 
 def test_the_water_group_sets_the_index_ratio():

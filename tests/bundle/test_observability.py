@@ -157,12 +157,17 @@ def test_water_and_lens_are_as_well_determined_as_dense_algebra_says(plant, plan
     height = (truth.planes[0][planted.links.plane] * truth.center).sum(-1) - truth.planes[1][planted.links.plane]
     counts = torch.tensor((1.0, 1.0, 1.0, *3 * (1.0 / height.mean(),)), dtype=torch.float64).repeat(5)[:, None]
     border[:30] = counts.square() * similarity_motions(truth, layout)[0][:30]
-    sigma = SIGMA * _bordered_inverse(jacobian, border).diagonal().sqrt()
+    covariance = SIGMA**2 * _bordered_inverse(jacobian, border)
+    sigma = covariance.diagonal().sqrt()
+    by_height = jacobian_of(
+        lambda state: _mean_heights(replace(state, center=truth.center), planted.links), layout, truth
+    )
+    above = (by_height @ covariance @ by_height.T).diagonal().sqrt()
     by_plane = sigma[layout.plane_columns(torch.arange(planes))]
     assert told["index_ratio"].posterior == pytest.approx(float(sigma[layout.index_column()]), rel=1e-3)
     assert told["focal"].posterior == pytest.approx(float(sigma[30]), rel=1e-3)
     assert told["plane_tilt"].posterior == pytest.approx(math.degrees(by_plane[:, :2].max()), rel=1e-3)
-    assert told["plane_height"].posterior == pytest.approx(float(by_plane[:, 2].max() / height.mean()), rel=1e-3)
+    assert told["plane_height"].posterior == pytest.approx(float(above.max() / height.mean()), rel=1e-3)
     assert told["scale"].posterior == math.inf
 
 
@@ -299,6 +304,13 @@ def test_useful_is_what_is_determined_well_enough_or_was_known_before(name):
     assert not Determination(name, 1.01 * USEFUL[name]).useful
     assert not Determination(name, math.inf).useful
     assert Determination(name, math.inf, 1.0).useful
+
+
+def _mean_heights(state, links):
+    """Of the cameras of each plane above it."""
+    normal, offset = state.planes
+    above = (normal[links.plane] * state.center).sum(dim=-1) - offset[links.plane]
+    return torch.stack([above[links.plane == plane].mean() for plane in range(len(offset))])
 
 
 def _shifted(planted, x):

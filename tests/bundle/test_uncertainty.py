@@ -16,7 +16,6 @@ from torchrefrac.bundle import (
     KnownPoints,
     Observations,
     ScaleBars,
-    Waterline,
     adjust,
     adjust_pose,
     estimate_pixel_sigma,
@@ -256,7 +255,7 @@ def test_a_robust_loss_is_at_most_a_little_worse_than_least_squares_and_small_sc
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])
 def test_wrong_observations_hardly_raise_the_estimate_of_a_robust_loss(plant, draw, loss):
-    planted = plant(cameras=8, points=150, noise=0.5)
+    planted = plant(cameras=8, points=80, noise=0.5)
     wrong = planted.with_wrong_observations(draw)
 
     sigma = {
@@ -288,7 +287,7 @@ def test_over_many_draws_errors_are_as_large_as_their_covariances_say(plant, dra
     Over n draws the mean of a chi-squared variable over its degrees of freedom d deviates by sqrt(2 / (n d)).
     """
     planted = plant(cameras=5, points=40)
-    truth, seen, draws = planted.truth, planted.observations, 60
+    truth, seen, draws = planted.truth, planted.observations, 45
     solver = LevenbergMarquardtOptions(max_iterations=30, function_tolerance=1e-7)
     options = planted.problem(pixel_sigma=0.5, refine=WATER, refine_unseen=True, solver=solver).options
     information = 4.0 * torch.eye(3, dtype=torch.float64).expand(5, 3, 3)
@@ -316,11 +315,11 @@ def test_over_many_draws_errors_are_as_large_as_their_covariances_say(plant, dra
     assert mean["index"] == pytest.approx(1.0, abs=3.0 * (2.0 / draws) ** 0.5)
 
 
-@pytest.mark.parametrize(("loss", "scale"), [("huber", 0.25), ("cauchy", 0.5)])
+@pytest.mark.parametrize(("loss", "scale"), [("huber", 0.25)])
 def test_so_they_are_with_a_robust_loss_and_the_sigma_that_is_estimated(plant, draw, loss, scale):
     planted = plant(cameras=1, points=100)
-    truth, draws = planted.truth, 40
-    solver = LevenbergMarquardtOptions(max_iterations=30, function_tolerance=1e-7)
+    truth, draws = planted.truth, 30
+    solver = LevenbergMarquardtOptions(max_iterations=20, function_tolerance=1e-7)
     options = BundleOptions(loss=loss, loss_scale=scale, solver=solver)
     sizes = []
     for _ in range(draws):

@@ -12,8 +12,8 @@ SHAPES = [
     {},
     {"families": [(3, 2)]},
     {"families": [(1, 2), (2, 1)], "extra": 4},
-    {"points": 60, "pairs": 220, "families": [(2, 2)]},
-    {"cameras": 9, "points": 50, "pairs": 200},
+    {"points": 20, "pairs": 75, "families": [(2, 2)]},
+    {"cameras": 9, "points": 20, "pairs": 90},
 ]
 PORTIONS = [(64, 1 << 19), (4, 2 * 4 * 3 * 6 * 4)]
 shapes = pytest.mark.parametrize("shape", SHAPES, ids=str)

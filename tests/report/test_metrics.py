@@ -1,5 +1,6 @@
 """Metrics against truth, on errors that were planted."""
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -8,7 +9,7 @@ import torch
 from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry import Similarity, heading_rotation, so3_exp
 from torchrefrac.report.metrics import distance_to_rectangles, evaluate, summarize
-from torchrefrac.scene import Reconstruction, Truth, load_truth
+from torchrefrac.scene import Assessment, Reconstruction, Truth, load_truth
 from torchrefrac.scene.library import embedded_scene
 
 DOUBLE = torch.float64
@@ -110,3 +111,34 @@ def test_distance_to_a_rectangle_ends_at_its_border(truth):
     bottom = replace(truth, corner=truth.corner[:1], edge1=truth.edge1[:1], edge2=truth.edge2[:1])
     points = torch.tensor([[0.0, 0.0, -97.0], [104.0, 0.0, -100.0], [103.0, 0.0, -96.0]], dtype=DOUBLE)
     assert distance_to_rectangles(points, bottom).tolist() == pytest.approx([3.0, 4.0, 5.0])
+
+
+def test_what_is_known_of_the_errors_is_in_the_summary_with_its_units(perfect):
+    sigma = torch.tensor((0.3, 0.1, 0.2), dtype=DOUBLE)
+    known = Assessment(
+        pixel_sigma=0.41,
+        point_sigma=sigma,
+        center_sigma=10.0 * sigma,
+        index_ratio_sigma=0.002,
+        determined=("index ratio: determined to 0.002", "scale, relative: not determined"),
+        held={"focal": "focal length, relative: not determined"},
+    )
+
+    found = summarize(replace(perfect, assessment=known))
+
+    assert found["pixel_sigma_px"] == 0.41
+    assert found["point_sigma_median_cm"] == pytest.approx(0.2)
+    assert found["camera_sigma_median_cm"] == pytest.approx(2.0)
+    assert found["index_ratio_sigma"] == 0.002
+    assert found["determined"] == ["index ratio: determined to 0.002", "scale, relative: not determined"]
+    assert found["held"] == {"focal": "focal length, relative: not determined"}
+    assert json.loads(json.dumps(found)) == found
+
+
+def test_where_nothing_is_known_of_the_errors_nothing_is_said(perfect):
+    said = {"pixel_sigma_px", "point_sigma_median_cm", "camera_sigma_median_cm", "index_ratio_sigma"}
+    said |= {"determined", "held"}
+
+    assert not said & set(summarize(perfect))
+    none = torch.zeros(0, dtype=DOUBLE)
+    assert not said & set(summarize(replace(perfect, assessment=Assessment(point_sigma=none, center_sigma=none))))

@@ -4,6 +4,7 @@ import json
 
 import pytest
 import torch
+import trimesh
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.scene import (
@@ -67,6 +68,34 @@ def test_points_and_colours_survive_the_file(tmp_path, draw, count):
     assert torch.equal(loaded_colors, colors)
 
 
+@pytest.mark.parametrize("count", [0, 1, 100])
+def test_standard_deviations_of_points_are_a_property_of_the_vertices(tmp_path, draw, count):
+    points, colors = draw.normal(count, 3), torch.randint(256, (count, 3), generator=draw.generator).to(torch.uint8)
+    sigma = draw.power_of_ten(-6.0, 3.0, count)
+
+    write_points(points, colors, tmp_path / "points.ply", sigma)
+
+    vertices = _raw_ply(tmp_path / "points.ply")["vertex"]
+    assert list(vertices["properties"].items()) == [
+        *((name, "<f4") for name in "xyz"),
+        *((name, "<u1") for name in ("red", "green", "blue")),
+        ("sigma", "<f4"),
+    ]
+    assert vertices["length"] == count
+    if count:
+        assert torch.equal(torch.from_numpy(vertices["data"]["sigma"].copy()).flatten(), sigma.float())
+        assert torch.equal(torch.from_numpy(vertices["data"]["z"].copy()).flatten(), points[:, 2].float())
+        loaded, loaded_colors = load_points(tmp_path / "points.ply")
+        assert torch.allclose(loaded, points, rtol=1e-6)
+        assert torch.equal(loaded_colors, colors)
+
+
+def test_points_without_them_have_no_such_property(tmp_path, draw):
+    write_points(draw.normal(3, 3), torch.zeros(3, 3, dtype=torch.uint8), tmp_path / "points.ply")
+
+    assert "sigma" not in _raw_ply(tmp_path / "points.ply")["vertex"]["properties"]
+
+
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
     target = tmp_path / "result.json"
     target.write_text("old")
@@ -108,3 +137,8 @@ def test_a_mistyped_truth_is_named(tmp_path):
     )
     with pytest.raises(CaptureError, match=r"images\[0\].cam_from_world_rotation is a list of 2"):
         load_truth(tmp_path)
+
+
+def _raw_ply(path):
+    """The elements of a PLY file as they are in it, by name."""
+    return trimesh.load(path, process=False).metadata["_ply_raw"]

@@ -58,14 +58,20 @@ def adjust_differentiably(
 
 def _with_held(found: BundleState, given: BundleState, layout: Layout) -> BundleState:
     """The solution, with the tensors that were given wherever nothing was refined."""
-    lens, water = found.lens, {}
-    names = {"focal": "focal", "principal_point": "principal_point", "radial": "distortion", "distortion": "distortion"}
-    refined = {names[name] for name in layout.lens}
-    lens = replace(lens, **{name: getattr(given.lens, name) for name in set(names.values()) - refined})
+    lens, water, radial = found.lens, {}, 2 if "radial" in layout.lens else 0
+    if "focal" not in layout.lens:
+        lens = replace(lens, focal=given.lens.focal)
+    if "principal_point" not in layout.lens:
+        lens = replace(lens, principal_point=given.lens.principal_point)
+    if "distortion" not in layout.lens:
+        parts = (lens.distortion[..., :radial], given.lens.distortion[..., radial:])
+        lens = replace(lens, distortion=torch.cat(parts, dim=-1))
     if "index_ratio" not in layout.water:
         water["index_ratio"] = given.index_ratio
-    if not {"plane_tilt", "plane_height"} & set(layout.water):
-        water["normal"], water["offset"] = given.planes
+    if "plane_tilt" not in layout.water:
+        water["normal"] = given.planes[0]
+    if "plane_height" not in layout.water:
+        water["offset"] = given.planes[1]
     return replace(found, lens=lens, **water)
 
 

@@ -10,7 +10,7 @@ from torchrefrac.bundle.gauge import SCALE, similarity_motions
 from torchrefrac.bundle.layout import WATER_WIDTH, Layout
 from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.bundle.state import BundleState
-from torchrefrac.bundle.terms import GlobalPrior
+from torchrefrac.bundle.terms import GlobalPrior, HeightPrior
 from torchrefrac.optim import Covariance, SingularError
 
 UNNOTICED = 1e-6
@@ -34,7 +34,9 @@ USEFUL = {  # a standard deviation beyond which refining tells nothing that was 
     "radial": 0.5,
     "distortion": 0.5,
 }
-VAGUE = {"focal": 10.0, "principal_point": 1e5, "radial": 100.0, "distortion": 1e3, "index_ratio": 10.0}
+VAGUE = {  # what stands in for no knowledge: far beyond that, and yet no rounding error of what images say
+    name: 10.0 * USEFUL[name] for name in ("focal", "principal_point", "radial", "distortion", "index_ratio")
+}
 
 
 @dataclass(frozen=True)
@@ -90,11 +92,12 @@ def determinations(problem: BundleProblem, state: BundleState, pixel_sigma: floa
     height = _mean_height(problem, state)
     weights = _camera_weights(layout, height, torch.cat((motions, held)))
 
-    def deviation(column: int) -> float:
+    def deviation(column: int, functional: Tensor | None = None) -> float:
         if bool(dead[column]):
             return math.inf
-        functional = motions.new_zeros(layout.size)
-        functional[column] = 1.0
+        if functional is None:
+            functional = motions.new_zeros(layout.size)
+            functional[column] = 1.0
         return pixel_sigma * _deviation(found.kept, _against_cameras(functional, motions, held, weights))
 
     result = []
@@ -105,7 +108,8 @@ def determinations(problem: BundleProblem, state: BundleState, pixel_sigma: floa
     planes = layout.plane_columns(torch.arange(layout.num_planes)).tolist()
     tilt = max(deviation(column) for plane in planes for column in plane[:2])
     result.append(_judged("plane_tilt", tilt, 180.0 / math.pi, expected.sigma_of("plane_tilt")))
-    result.append(_judged("plane_height", max(deviation(p[2]) for p in planes), 1.0 / height, expected.plane_height))
+    above = max(deviation(plane[2], by) for plane, by in zip(planes, _by_heights(state, layout), strict=True))
+    result.append(_judged("plane_height", above, 1.0 / height, expected.plane_height))
     result.append(Determination("scale", _scale_deviation(found.kept, motions, held, weights, gauge) * pixel_sigma))
     return result
 
@@ -113,6 +117,18 @@ def determinations(problem: BundleProblem, state: BundleState, pixel_sigma: floa
 def _judged(name: str, sigma: float, unit: float, prior: float | None) -> Determination:
     beyond = name in VAGUE and sigma > 0.5 * VAGUE[name]
     return Determination(name, math.inf if beyond else sigma * unit, None if prior is None else prior * unit)
+
+
+def _by_heights(state: BundleState, layout: Layout) -> Tensor:
+    """Derivatives (E, size) of the mean heights of the cameras above each plane, in the planes."""
+    plane, ones = layout.links.plane, torch.ones_like(state.center[:, 0])
+    _, jacobian, columns = HeightPrior(torch.arange(len(plane), device=plane.device), ones, ones).residuals(
+        state, layout
+    )
+    share = ones / torch.bincount(plane, minlength=layout.num_planes)[plane]
+    total = ones.new_zeros(layout.num_planes, layout.size + 1)
+    total.index_put_((plane[:, None], columns[:, 3:]), jacobian[:, 0, 3:] * share[:, None], accumulate=True)
+    return total[:, :-1]
 
 
 def _camera_weights(layout: Layout, height: float, motions: Tensor) -> Tensor:

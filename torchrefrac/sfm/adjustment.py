@@ -16,13 +16,10 @@ from torchrefrac.bundle import (
     Observations,
     Term,
     adjust,
-    determinations,
-    estimate_pixel_sigma,
-    uncertainty,
 )
 from torchrefrac.bundle.layout import Layout
-from torchrefrac.optim import SingularError
 from torchrefrac.scene import Assessment, Capture
+from torchrefrac.sfm.assessment import assess
 from torchrefrac.sfm.model import SparseModel
 
 
@@ -85,17 +82,4 @@ def assess_model(model: SparseModel, capture: Capture, options: BundleOptions, h
     refine = tuple(name for name in options.refine if name not in held)
     layout = Layout.create(part.state, Links.single(part.state), refine)
     problem = BundleProblem.create(part.state, layout, part.observations, options, part.terms)
-    try:
-        sigma = estimate_pixel_sigma(problem, part.state)
-        known = uncertainty(problem, part.state, sigma)
-        told = determinations(problem, part.state, sigma) if bool(model.index_ratio > 1.0) else []
-    except SingularError:
-        return Assessment(held=held)
-    return Assessment(
-        pixel_sigma=sigma,
-        point_sigma=known.point_sigma,
-        center_sigma=known.pose[:, 3:, 3:].diagonal(dim1=1, dim2=2).mean(dim=-1).sqrt(),
-        index_ratio_sigma=float(known.index_ratio) if "index_ratio" in refine else None,
-        determined=tuple(d.sentence for d in told),
-        held=held,
-    )
+    return assess(problem, part.state, held)

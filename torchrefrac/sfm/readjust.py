@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchrefrac.bundle import BundleOptions, BundleReport, UnadjustableError, adjust, check_inputs
 from torchrefrac.checks import require
+from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Alignment, Survey, Water
 from torchrefrac.sfm.block import Block
@@ -28,7 +29,11 @@ class ReadjustOptions:
     held: Literal["none", "cameras"] = "none"
     max_error: float = 4.0
     rounds: int = 3
-    bundle: BundleOptions = field(default_factory=lambda: BundleOptions(loss_scale=1.0, pixel_sigma=0.5))
+    bundle: BundleOptions = field(
+        default_factory=lambda: BundleOptions(
+            loss_scale=0.5, pixel_sigma=0.5, solver=LevenbergMarquardtOptions(max_iterations=100)
+        )
+    )
 
     def __post_init__(self) -> None:
         require(self.max_error, "max_error", above=0.0)

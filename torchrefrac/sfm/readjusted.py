@@ -6,10 +6,11 @@ from types import MappingProxyType
 import torch
 from torch import Tensor
 
-from torchrefrac.bundle import BundleReport, determinations, uncertainty
+from torchrefrac.bundle import BundleReport
 from torchrefrac.numerics import segment_sum
-from torchrefrac.optim import SingularError, Status
+from torchrefrac.optim import Status
 from torchrefrac.scene import Alignment, Assessment, Survey, Water
+from torchrefrac.sfm.assessment import assess
 from torchrefrac.sfm.block import Block, unstacked
 
 
@@ -65,7 +66,7 @@ class Readjusted:
             marks={name: position for name, position, there in positions if there},
             lost_marks=_lost(survey.mark_names, marked),
             lost_images=_lost(given.names, block.images.tolist()),
-            assessment=assess(report, len(adjusted.points)),
+            assessment=assess(report.problem, state, report.held, len(adjusted.points)),
             status=report.status,
         )
 
@@ -74,25 +75,6 @@ class Readjusted:
         n = len(self.alignment.points)
         total = segment_sum(self.errors[:, None], self.alignment.point, n)[:, 0]
         return total / torch.bincount(self.alignment.point, minlength=n)
-
-
-def assess(report: BundleReport, num_points: int) -> Assessment:
-    """How well everything is determined, the first num_points points among it. Where the data do not determine even
-    the cameras nothing is said but what was held."""
-    problem, state, held = report.problem, report.state, report.held
-    try:
-        known = uncertainty(problem, state)
-        told = determinations(problem, state, known.pixel_sigma) if float(state.index_ratio) > 1.0 else []
-    except SingularError:
-        return Assessment(held=held)
-    return Assessment(
-        pixel_sigma=known.pixel_sigma,
-        point_sigma=known.point_sigma[:num_points],
-        center_sigma=known.pose[:, 3:, 3:].diagonal(dim1=1, dim2=2).mean(dim=-1).clamp(min=0.0).sqrt(),
-        index_ratio_sigma=float(known.index_ratio) if "index_ratio" in problem.layout.water else None,
-        determined=tuple(d.sentence for d in told),
-        held=held,
-    )
 
 
 def _lost(names: tuple[str, ...], kept: list[bool]) -> tuple[str, ...]:

@@ -1,0 +1,434 @@
+"""Gradients through the adjustment: by the implicit function theorem on a cost by definition; finite differences."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import pytest
+import torch
+from bundle_oracles import errors_of, moved, num_unknowns
+from torch import Tensor
+from torch.autograd import gradcheck
+
+from torchrefrac.bundle import (
+    BundleOptions,
+    BundleProblem,
+    BundleState,
+    CenterPrior,
+    Expectations,
+    GravityPrior,
+    HeightPrior,
+    KnownPoints,
+    Links,
+    Observations,
+    ScaleBars,
+    Term,
+    UnadjustableError,
+    adjust,
+    adjust_differentiably,
+)
+from torchrefrac.bundle.layout import Layout
+from torchrefrac.optim import LevenbergMarquardtOptions, robust
+
+TIGHT = LevenbergMarquardtOptions(max_iterations=100, function_tolerance=1e-13, initial_damping=1e-10)
+SQUARED = BundleOptions(loss="squared", pixel_sigma=0.5, solver=TIGHT)
+CAUCHY = replace(SQUARED, loss="cauchy", loss_scale=2.0)
+ONE = torch.ones(1, dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """An adjustment as a function of tensors `inputs`: make(*inputs) is what is adjusted. start: a solution."""
+
+    make: Callable[..., tuple[BundleState, Observations, Sequence[Term]]]
+    inputs: tuple[Tensor, ...]
+    sizes: tuple[float, ...]
+    start: BundleState
+    options: BundleOptions
+    links: Links
+    held: Tensor | None = None
+
+    def __call__(self, *inputs: Tensor) -> BundleState:
+        state, seen, terms = self.make(self.start, *inputs)
+        return adjust_differentiably(state, seen, self.options, links=self.links, terms=terms, held=self.held)
+
+    @torch.no_grad()
+    def problem(self) -> BundleProblem:
+        """What is adjusted, from the solution."""
+        state, seen, terms = self.make(self.start, *self.inputs)
+        return adjust(state, seen, self.options, links=self.links, terms=terms, held=self.held).problem
+
+
+def _given(name, planted, draw):
+    """A function (state, *inputs) -> what is adjusted, inputs, and what a change of theirs that can be seen is."""
+    truth, seen = planted.truth, planted.observations
+    bar = torch.tensor([1]), torch.tensor([4])
+    length = (truth.points[1] - truth.points[4]).norm()[None] + 0.3
+    information = 4.0 * torch.eye(3, dtype=torch.float64).expand(2, 3, 3)
+    lens = truth.lens
+
+    def pixels(state, pixels):
+        return state, replace(seen, pixels=pixels), [planted.gravity]
+
+    def weights(state, weight):
+        return state, replace(seen, weight=weight), [planted.gravity]
+
+    def priors(state, gravity, position, height):
+        terms = [
+            GravityPrior(gravity, 0.01),
+            CenterPrior(torch.tensor((0, 2)), position, information),
+            HeightPrior(torch.tensor([1]), height, 0.5 * ONE),
+        ]
+        return state, seen, terms
+
+    def marks(state, length, sigma, position):
+        return state, seen, [ScaleBars(*bar, length, sigma), KnownPoints(torch.tensor((2, 4)), position, information)]
+
+    def lenses(state, focal, principal_point, distortion):
+        given = replace(lens, focal=focal, principal_point=principal_point, distortion=distortion)
+        return replace(state, lens=given), seen, [planted.gravity]
+
+    def water(state, index_ratio, tilt, offset):
+        normal = torch.nn.functional.normalize(torch.cat((tilt, ONE))[None], dim=-1)
+        return replace(state, index_ratio=index_ratio, normal=normal, offset=offset), seen, [planted.gravity]
+
+    def expected(state, index_ratio, pixels):
+        return replace(state, index_ratio=index_ratio), replace(seen, pixels=pixels), [planted.gravity]
+
+    none = torch.zeros(1, dtype=torch.float64)
+    wanted = {
+        "pixels": (pixels, (seen.pixels,), (1.0,)),
+        "weights": (weights, (draw.uniform(0.2, 2.0, len(seen)),), (1.0,)),
+        "priors": (
+            priors,
+            (planted.down_in_cam, truth.center[[0, 2]] + 0.3, truth.center[1:2, 2] - 0.4),
+            (0.01, 1.0, 1.0),
+        ),
+        "marks": (marks, (length, 0.2 * ONE, truth.points[[2, 4]] + 0.2), (1.0, 1.0, 1.0)),
+        "lens": (lenses, (lens.focal, lens.principal_point, lens.distortion), (10.0, 10.0, 0.01)),
+        "water": (water, (truth.index_ratio, torch.cat((none, none)), none), (0.01, 0.01, 1.0)),
+        "expected": (expected, (truth.index_ratio + 0.003, seen.pixels), (0.01, 1.0)),
+    }
+    return wanted[name]
+
+
+CASES = {
+    "pixels, squared, free": ("pixels", SQUARED, {}),
+    "pixels, cauchy, free": ("pixels", CAUCHY, {}),
+    "pixels, huber, free": ("pixels", replace(SQUARED, loss="huber", loss_scale=1.0), {}),
+    "pixels, air": ("pixels", SQUARED, {"index_ratio": 1.0}),
+    "pixels, cauchy, held": ("pixels", CAUCHY, {"held": True}),
+    "weights, cauchy, free": ("weights", CAUCHY, {}),
+    "weights, squared, held": ("weights", SQUARED, {"held": True}),
+    "priors": ("priors", CAUCHY, {}),
+    "a bar and marks, squared": ("marks", SQUARED, {}),
+    "a bar and marks, cauchy, held": ("marks", CAUCHY, {"held": True}),
+    "lens, squared, free": ("lens", SQUARED, {}),
+    "lens, cauchy, held": ("lens", CAUCHY, {"held": True}),
+    "water, squared, free": ("water", SQUARED, {}),
+    "water, cauchy, held": ("water", CAUCHY, {"held": True}),
+    "index ratio refined": ("expected", replace(SQUARED, refine=("index_ratio",)), {}),
+    "index ratio expected": (
+        "expected",
+        replace(CAUCHY, refine=("index_ratio",), expected=Expectations(index_ratio=0.01)),
+        {},
+    ),
+    "lens refined": ("pixels", replace(SQUARED, refine=("focal",)), {}),
+}
+
+
+@pytest.fixture
+def layer_of(plant, draw):
+    """`layer_of(name)`: of CASES, with half a pixel of noise."""
+
+    def make(name, points=8):
+        kind, options, scene = CASES[name]
+        scene = dict(scene)
+        held = None
+        if scene.pop("held", False):
+            held = torch.zeros(4, 6, dtype=torch.bool)
+            held[0] = held[2, 3:5] = True
+        planted = plant(cameras=4, points=points, noise=0.5, distortion=(-0.1, 0.05, 1e-3, 0.0, 0.0), **scene)
+        build, inputs, sizes = _given(kind, planted, draw)
+        layer = Layer(build, inputs, sizes, planted.truth, options, planted.links, held)
+        for _ in range(2):
+            state, seen, terms = build(layer.start, *inputs)
+            report = adjust(state, seen, options, links=planted.links, terms=terms, held=held)
+            layer = replace(layer, start=report.state)
+        assert report.status in ("converged", "stalled")
+        return layer
+
+    return make
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_gradients_are_those_of_the_implicit_function_theorem(layer_of, draw, name):
+    """-H^-1 dg of the cost by definition, bordered by inner constraints on what is kept where there is a gauge."""
+    layer = layer_of(name)
+    inputs = tuple(tensor.clone().requires_grad_() for tensor in layer.inputs)
+    problem = layer.problem()
+    layout, null_space = problem.layout, problem.linearize(layer.start).system.null_space
+    by_unknowns, *by_inputs = _second_derivatives(layer, layout, inputs)
+
+    found = _local(layer(*inputs), layer.start, layout)
+
+    derivatives = [-_bordered_inverse(by_unknowns, null_space) @ by_input for by_input in by_inputs]
+    assert found.detach().abs().max() < 1e-4
+    for _ in range(2):
+        some = draw.normal(num_unknowns(layout)) / _size_of_unknowns(layout, layer.start)
+        gradients = torch.autograd.grad(found, inputs, some, retain_graph=True, materialize_grads=True)
+        for gradient, derivative in zip(gradients, derivatives, strict=True):
+            expected = (some @ derivative).view_as(gradient)
+            torch.testing.assert_close(gradient, expected, rtol=1e-4, atol=1e-6 * float(expected.abs().max()))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "pixels, squared, free",
+        "priors",
+        "a bar and marks, squared",
+        "lens, squared, free",
+        "index ratio expected",
+    ],
+)
+def test_they_are_what_adjusting_again_from_the_solution_gives(layer_of, name):
+    layer = layer_of(name)
+    changes = tuple(torch.zeros_like(tensor).requires_grad_() for tensor in layer.inputs)
+
+    def adjusted(*changes):
+        inputs = (x + size * change for x, size, change in zip(layer.inputs, layer.sizes, changes, strict=True))
+        state = layer(*inputs)
+        return state.rotation, state.center, state.points
+
+    assert gradcheck(adjusted, changes, eps=0.02, atol=1e-3, rtol=1e-3, fast_mode=True)
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if "cauchy" in name or "index" in name])
+def test_the_result_is_that_of_adjust(layer_of, name):
+    layer = layer_of(name)
+    state, seen, terms = layer.make(layer.start, *layer.inputs)
+    start = replace(state, center=state.center + (0.0 if layer.held is not None else 0.05))
+
+    told = adjust_differentiably(start, seen, layer.options, links=layer.links, terms=terms, held=layer.held)
+
+    report = adjust(start, seen, layer.options, links=layer.links, terms=terms, held=layer.held)
+    for field in ("rotation", "center", "points", "index_ratio", "normal", "offset"):
+        torch.testing.assert_close(getattr(told, field), getattr(report.state, field), rtol=0.0, atol=1e-12)
+    torch.testing.assert_close(told.lens.focal, report.state.lens.focal, rtol=1e-14, atol=0.0)
+
+
+def test_where_the_search_starts_has_no_gradient(layer_of):
+    layer = layer_of("pixels, squared, free")
+    start = replace(
+        layer.start, **{n: getattr(layer.start, n).clone().requires_grad_() for n in ("rotation", "center", "points")}
+    )
+    pixels = layer.inputs[0].clone().requires_grad_()
+    state, seen, terms = layer.make(start, pixels)
+
+    result = adjust_differentiably(state, seen, layer.options, links=layer.links, terms=terms)
+
+    started = (start.rotation, start.center, start.points)
+    gradients = torch.autograd.grad(result.points.sum() + result.center.sum(), (pixels, *started), allow_unused=True)
+    assert gradients[0].abs().max() > 0.0
+    assert gradients[1:] == (None, None, None)
+
+
+def test_without_anything_that_requires_a_gradient_there_is_none(layer_of):
+    layer = layer_of("pixels, squared, free")
+
+    assert not layer(*layer.inputs).points.requires_grad
+
+
+def test_what_is_held_has_no_gradient_and_what_is_not_does(layer_of, draw):
+    layer = layer_of("pixels, cauchy, held")
+    pixels = layer.inputs[0].clone().requires_grad_()
+
+    result = layer(pixels)
+
+    free, *held = (
+        torch.autograd.grad(value, pixels, retain_graph=True)[0].abs().max()
+        for value in (result.center[1, 0], result.center[0, 1], result.center[2, 1], result.rotation[0, 1, 2])
+    )
+    assert free > 0.0
+    assert held == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("loss", ["squared", "cauchy"])
+def test_along_the_gauge_nothing_moves(layer_of, draw, loss):
+    layer = layer_of(f"pixels, {loss}, free")
+    pixels = layer.inputs[0].clone().requires_grad_()
+    problem = layer.problem()
+    null_space = problem.linearize(layer.start).system.null_space
+
+    kept = _local(layer(pixels), layer.start, problem.layout)[: problem.layout.size]
+
+    along = torch.stack([torch.autograd.grad(kept, pixels, n, retain_graph=True)[0].norm() for n in null_space.T])
+    across = torch.autograd.grad(kept, pixels, draw.normal(len(kept)))[0].norm()
+    assert along.max() < 1e-9 * across
+
+
+def test_a_point_that_all_its_weights_leave_alone_does_not_spoil_the_gradients_of_the_others(plant):
+    planted = plant(cameras=4, points=10, noise=0.5)
+    pixels = planted.observations.pixels.clone().requires_grad_()
+    weight = (planted.observations.point != 3).double()
+
+    found, expected = (
+        torch.autograd.grad(
+            adjust_differentiably(
+                planted.truth, replace(planted.observations, pixels=pixels, weight=w), SQUARED, terms=[planted.gravity]
+            )
+            .center[:, 2]
+            .sum(),
+            pixels,
+        )[0]
+        for w in (weight, weight.clamp(min=1e-6))
+    )
+
+    torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-5 * float(expected.abs().max()))
+
+
+def test_nor_has_that_point_a_gradient(plant):
+    planted = plant(cameras=4, points=10, noise=0.5)
+    pixels = planted.observations.pixels.clone().requires_grad_()
+    seen = replace(planted.observations, pixels=pixels, weight=(planted.observations.point != 3).double())
+
+    result = adjust_differentiably(planted.truth, seen, SQUARED, terms=[planted.gravity])
+
+    (gradient,) = torch.autograd.grad(result.points[3].sum(), pixels)
+    assert torch.equal(gradient, torch.zeros_like(gradient))
+
+
+def test_the_terms_of_the_lens_that_are_held_beside_the_radial_ones_have_gradients(plant):
+    planted = plant(cameras=4, points=30, noise=0.2)
+    options = replace(SQUARED, refine=("radial",))
+    start = adjust(planted.truth, planted.observations, options, terms=[planted.gravity]).state
+    lens = start.lens
+    distortion = lens.distortion.clone().requires_grad_()
+
+    def centers(distortion):
+        state = replace(start, lens=replace(lens, distortion=distortion))
+        return adjust_differentiably(state, planted.observations, options, terms=[planted.gravity]).center
+
+    direction, step = torch.tensor((0.0, 0.0, 1.0, -2.0, 0.5), dtype=torch.float64), 1e-4
+    ahead, behind = (centers(lens.distortion + sign * step * direction).sum() for sign in (1.0, -1.0))
+    (gradient,) = torch.autograd.grad(centers(distortion).sum(), distortion)
+    assert float(gradient @ direction) == pytest.approx(float(ahead - behind) / (2.0 * step), rel=1e-3)
+
+
+def test_a_height_that_is_held_beside_a_tilt_has_a_gradient(plant):
+    planted = plant(cameras=4, points=30, noise=0.2)
+    options = replace(SQUARED, refine=("plane_tilt",))
+    terms = [planted.gravity, CenterPrior(*_positions(planted.truth))]
+    offset = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+
+    def depth(offset):
+        state = replace(planted.truth, offset=offset)
+        return adjust_differentiably(state, planted.observations, options, terms=terms).points[:, 2].sum()
+
+    ahead, behind = (depth(torch.full((1,), step, dtype=torch.float64)) for step in (1e-3, -1e-3))
+    (gradient,) = torch.autograd.grad(depth(offset), offset)
+    assert float(gradient) == pytest.approx(float(ahead - behind) / 2e-3, rel=1e-3)
+
+
+def test_a_loss_of_the_result_can_be_learnt_from(plant):
+    """The index ratio that puts a point at its known depth is found by Newton steps on the gradient."""
+    planted = plant(cameras=4, points=15)
+    height = HeightPrior(torch.tensor([0]), planted.truth.center[:1, 2], 0.01 * ONE)
+    ratio = torch.tensor(1.31, dtype=torch.float64)
+
+    for _ in range(4):
+        ratio.requires_grad_()
+        result = adjust_differentiably(
+            replace(planted.truth, index_ratio=ratio), planted.observations, SQUARED, terms=[height, planted.gravity]
+        )
+        off = result.points[4, 2] - planted.truth.points[4, 2]
+        ratio = (ratio - off / torch.autograd.grad(off, ratio)[0]).detach()
+
+    assert float(ratio) == pytest.approx(float(planted.truth.index_ratio), abs=1e-6)
+
+
+def test_what_cannot_be_adjusted_raises_as_adjust_does(plant):
+    planted = plant(cameras=4, points=10)
+    alone = planted.without((planted.observations.point == 3) & (planted.observations.camera != 0))
+
+    with pytest.raises(UnadjustableError, match="seen by fewer than two images: point"):
+        adjust_differentiably(alone.truth, alone.observations)
+
+
+def _positions(truth):
+    information = torch.eye(3, dtype=torch.float64).expand(len(truth.center), 3, 3)
+    return torch.arange(len(truth.center)), truth.center, information
+
+
+def _second_derivatives(layer: Layer, layout: Layout, inputs: Sequence[Tensor]) -> list[Tensor]:
+    """Of the cost by definition at the solution: in the unknowns twice, and in the unknowns and each of the inputs."""
+    unknowns = torch.zeros(num_unknowns(layout), dtype=torch.float64, requires_grad=True)
+    state, seen, terms = layer.make(layer.start, *inputs)
+    options = layer.options
+    terms = BundleProblem.create(state, layout, seen, options, terms).terms
+    anchor = layer.start
+    if "focal" not in layout.lens:
+        anchor = replace(anchor, lens=state.lens)
+    if "index_ratio" not in layout.water:
+        anchor = replace(anchor, index_ratio=state.index_ratio)
+    at = moved(layout, replace(anchor, normal=state.normal, offset=state.offset), unknowns)
+    square = errors_of(at, layout.links, seen).square().sum(dim=-1)
+    cost = (seen.weights * robust(square, options.loss, options.loss_scale)[0]).sum()
+    for term in terms:
+        cost = cost + options.pixel_sigma**2 * term.residuals(at, layout).value.square().sum()
+    (gradient,) = torch.autograd.grad(0.5 * cost, unknowns, create_graph=True)
+    if layout.held is not None:
+        free = torch.ones_like(gradient)
+        free[: 6 * layout.num_cameras] = (~layout.held.flatten()).double()
+        gradient = gradient * free
+    unit = torch.eye(len(gradient), dtype=torch.float64)
+    inputs = (unknowns, *inputs)
+    every = torch.autograd.grad(gradient, inputs, unit, is_grads_batched=True, allow_unused=True)
+    return [
+        unit.new_zeros(len(unit), x.numel()) if by is None else by.reshape(len(unit), -1)
+        for x, by in zip(inputs, every, strict=True)
+    ]
+
+
+def _bordered_inverse(hessian: Tensor, null_space: Tensor | None) -> Tensor:
+    """Of [H C; C^T 0]; zero for what is held."""
+    alive = hessian.diagonal().abs().nonzero()[:, 0]
+    border = torch.zeros(len(hessian), 0 if null_space is None else null_space.shape[1], dtype=torch.float64)
+    if null_space is not None:
+        border[: len(null_space)] = null_space
+    unit = hessian.diagonal()[alive].abs().sqrt()
+    scaled = hessian[alive][:, alive] / unit[:, None] / unit
+    border = torch.linalg.qr(border[alive] / unit[:, None]).Q
+    count = border.shape[1]
+    upper = torch.cat((scaled, border), dim=1)
+    lower = torch.cat((border.T, torch.zeros(count, count, dtype=torch.float64)), dim=1)
+    inverse = torch.linalg.inv(torch.cat((upper, lower)))[: len(alive), : len(alive)] / unit[:, None] / unit
+    whole = torch.zeros_like(hessian)
+    whole[alive[:, None], alive] = inverse
+    return whole
+
+
+def _local(state: BundleState, at: BundleState, layout: Layout) -> Tensor:
+    """Where `state` is, near `at`, in the unknowns of the layout (of lens and water: focal and index_ratio)."""
+    turn = state.rotation @ at.rotation.mT
+    skew = 0.5 * (turn - turn.mT)
+    pose = torch.cat(
+        (torch.stack((skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]), dim=-1), state.center - at.center), dim=-1
+    )
+    shared = []
+    if layout.lens:
+        shared.append((state.lens.focal[:1] / at.lens.focal[:1]).log())
+    if layout.water:
+        shared.append((state.index_ratio - at.index_ratio)[None])
+    points = state.points - at.points
+    kept = layout.kept if layout.kept is not None else torch.zeros(len(points), dtype=torch.bool)
+    return torch.cat((pose.flatten(), *shared, points[kept].flatten(), points[~kept].flatten()))
+
+
+def _size_of_unknowns(layout: Layout, state: BundleState) -> Tensor:
+    """As large as what they do in an image: radians and ratios to one, lengths to the height of the cameras."""
+    size = torch.full((num_unknowns(layout),), float(state.center[:, 2].mean()), dtype=torch.float64)
+    poses = 6 * layout.num_cameras
+    size[:poses] = (size.new_tensor((1.0, 1.0, 1.0, *3 * (float(size[-1]),)))).repeat(layout.num_cameras)
+    size[poses : layout.first_kept] = 1.0
+    return size
