@@ -136,7 +136,7 @@ def test_an_interrupt_leaves_the_finished_stages(torchrefrac, small_tank, metric
     run = small_tank.parent / "run"
     assert metrics(run)["status"] == "interrupted"
     assert metrics(run)["stages"] == ["features", "matching"]
-    assert {"features.npz", "matches.npz", "tracks.npz"} <= {p.name for p in run.iterdir()}
+    assert {"features.npz", "matches.npz"} <= {p.name for p in run.iterdir()}
     assert not (run / "cameras.json").exists()
     assert not list(run.glob(".*partial*"))
 

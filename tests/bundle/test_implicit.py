@@ -355,6 +355,13 @@ def test_what_cannot_be_adjusted_raises_as_adjust_does(plant):
         adjust_differentiably(alone.truth, alone.observations)
 
 
+def test_a_frozen_ratio_raises(plant):
+    planted = plant(cameras=4, points=10)
+
+    with pytest.raises(ValueError, match="jacobian is 'frozen_ratio', but the gradients of a minimum need"):
+        adjust_differentiably(planted.truth, planted.observations, replace(SQUARED, jacobian="frozen_ratio"))
+
+
 def _positions(truth):
     information = torch.eye(3, dtype=torch.float64).expand(len(truth.center), 3, 3)
     return torch.arange(len(truth.center)), truth.center, information

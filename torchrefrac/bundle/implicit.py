@@ -43,9 +43,12 @@ def adjust_differentiably(
     Gradients flow from rotation, centre, points and from what else is refined to the pixels and weights of the
     observations, to the tensors in `terms`, to the lens, index ratio and planes of `state` where these are held, and
     where they are refined to what is expected of them. Where the search starts does not matter and has no gradient.
-    First derivatives only. Meaningful only where the search converged: run `adjust` to see its status.
+    First derivatives only. Meaningful only where the search converged: run `adjust` to see its status. Raises
+    ValueError for a frozen ratio, whose search ends beside the minimum.
     """
     options = options or BundleOptions()
+    if options.jacobian != "exact":
+        raise ValueError(f"options.jacobian is {options.jacobian!r}, but the gradients of a minimum need 'exact'")
     links = links or Links.single(state)
     with torch.no_grad():
         report = adjust(state.detached(), observations.detached(), options, links=links, terms=terms, held=held)

@@ -66,7 +66,7 @@ class Readjusted:
             marks={name: position for name, position, there in positions if there},
             lost_marks=_lost(survey.mark_names, marked),
             lost_images=_lost(given.names, block.images.tolist()),
-            assessment=assess(report.problem, state, report.held, len(adjusted.points)),
+            assessment=assess(report.problem, report.state, report.held, len(adjusted.points)),
             status=report.status,
         )
 
