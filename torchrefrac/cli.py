@@ -2,7 +2,6 @@
 
 import os
 import sys
-import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,9 @@ from torchrefrac.readjustment import readjust_run, require_apart
 from torchrefrac.report.comparison import compare
 from torchrefrac.report.recorders import Recorders
 from torchrefrac.report.run_folder import write_metrics
+from torchrefrac.report.summary import adjustment_lines, reconstruction_lines, summary
 from torchrefrac.report.tensorboard import TensorBoardRecorder
-from torchrefrac.report.terminal import WIDTH, TerminalRecorder
+from torchrefrac.report.terminal import TerminalRecorder
 from torchrefrac.scene import AlignmentError, Capture, CaptureError, SurveyError, load_capture
 from torchrefrac.scene.library import embedded_scene
 from torchrefrac.sfm import NoInitialPairError
@@ -41,11 +41,6 @@ EXPECTED = (
 )
 INTERRUPTED = 130
 ADJUST = "adjust"
-LEFT_OUT = {
-    "lost_images": "images left out, as too few of their points fit",
-    "lost_marks": "marks left out, as they do not fit or are not seen",
-    "images_only_in_survey": "images of the survey that the alignment does not have",
-}
 
 _failed: list[str] = []
 
@@ -105,7 +100,7 @@ def _run(options: RunOptions, capture: Capture, folder: Path) -> None:
     print(f"{options.scene.name}: {len(capture)} images, model {model}, into {into}", file=sys.stderr)
     with TensorBoardRecorder(folder / "events") as board:
         metrics = run(capture, options.reconstruction, Recorders(TerminalRecorder(), board), folder)
-    print(_summary(metrics))
+    print(summary(reconstruction_lines(metrics)))
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="adjust")
@@ -134,8 +129,7 @@ def _adjust(options: AdjustOptions, config: DictConfig, folder: Path) -> None:
     OmegaConf.save(config, folder / ".hydra" / "config.yaml", resolve=True)
     with TensorBoardRecorder(folder / "events") as board:
         metrics = readjust_run(options, Recorders(TerminalRecorder(), board), folder)
-    for line in _adjust_summary(metrics):
-        print(textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False))
+    print(summary(adjustment_lines(metrics)))
 
 
 def _report(error: Exception) -> str:
@@ -147,54 +141,6 @@ def _report(error: Exception) -> str:
     _failed.append(reason)
     print(f"error: {reason}", file=sys.stderr)
     return reason
-
-
-def _adjust_summary(metrics: dict[str, Any]) -> list[str]:
-    unit, sigma = metrics["length_unit"], metrics["index_ratio_sigma"]
-    spread = "" if sigma is None else f" +- {sigma:.2g}"
-    lines = [
-        f"{metrics['adjusted_images']} of {metrics['images']} images adjusted, {metrics['points']} points "
-        f"({metrics['dropped_points']} dropped), {metrics['observations']} observations "
-        f"({metrics['dropped_observations']} dropped)",
-        f"median reprojection error {metrics['reprojection_median_px']:.3f} px, through the water before "
-        f"{metrics['reprojection_median_before_px']:.3f} px, {metrics['seconds_total']:.1f} s",
-        f"index ratio {metrics['index_ratio']:.4f}{spread}, cameras moved by "
-        f"{metrics[f'camera_shift_median_{unit}']:.4g} {unit} (median), "
-        f"{metrics[f'camera_shift_max_{unit}']:.4g} {unit} at most",
-        *metrics["determined"],
-    ]
-    lines += [f"not refined: {sentence}" for sentence in metrics["held"].values()]
-    for key, words in LEFT_OUT.items():
-        if key in metrics:
-            lines.append(f"{words}: {', '.join(metrics[key])}")
-    if metrics["adjustment"] != "converged":
-        lines.append(f"the adjustment ended as {metrics['adjustment']}; see bundle.solver for its limits")
-    return lines + _against_truth(metrics)
-
-
-def _against_truth(metrics: dict[str, Any]) -> list[str]:
-    key = next((key for key in metrics if key.startswith("camera_rms_")), None)
-    if key is None:
-        return []
-    unit = key.removeprefix("camera_rms_")
-    line = f"against truth ({metrics['alignment']} alignment): cameras {metrics[key]:.4f} {unit} RMS"
-    if f"surface_median_{unit}" in metrics:
-        line += f", points {metrics[f'surface_median_{unit}']:.4f} {unit} from the surface (median)"
-    return [line]
-
-
-def _summary(metrics: dict[str, Any]) -> str:
-    lines = [
-        f"{metrics['registered_images']} of {metrics['images']} images registered, {metrics['points']} points, "
-        f"median reprojection error {metrics['reprojection_median_px']:.3f} px, {metrics['seconds_total']:.1f} s"
-    ]
-    lines += [f"not registered: {name} {reason}" for name, reason in metrics.get("not_registered", {}).items()]
-    if metrics["gravity"] == "estimated":
-        lines.append(
-            "gravity was estimated from the refraction; the verticals are determined to "
-            f"{metrics['gravity_sigma_deg']:.1f} degrees"
-        )
-    return "\n".join(lines + _against_truth(metrics))
 
 
 class CompareRuns(Callback):

@@ -284,7 +284,7 @@ def test_every_determination_reads_as_one_short_sentence_with_its_unit():
         for posterior in (math.inf, 0.0, 1.2345e-7, 0.0123, 123.4):
             for prior in (None, 1e-9, 0.0246):
                 told = Determination(name, posterior, prior)
-                assert len(told.sentence) <= (100 if prior is None else 106)
+                assert len(told.sentence) <= 100
                 assert told.sentence.startswith(WORDS[name] + ": ")
                 if not math.isinf(posterior):
                     assert f"{posterior:.2g}{UNITS.get(name, '')}" in told.sentence

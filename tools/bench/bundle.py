@@ -1,13 +1,14 @@
 """Bundle adjustment beside Ceres: same scene, same start, same tolerance, same machine.
 
-    python tools/bench/bundle.py --ceres ../shared/peers/ceres_ba [--only peers,large,jacobian] [--threads 1,2]
+    python tools/bench/bundle.py --ceres ../shared/peers/ceres_ba [--only peers,large,jacobian,iterative] [--threads 1,2]
 
-`--ceres` is a folder with ba.cc, CMakeLists.txt (needs Ceres 2.1 and CMake) and make_scene.py: it is copied and built in
-a temporary folder, or in `--work`, where scenes are kept too. Every run is a process of its own that is timed without
-reading the scene and, where compiled, without compiling. Per scene and number of threads: seconds a step of
+`--ceres` is a folder with ba.cc, CMakeLists.txt (needs Ceres 2.1 and CMake) and make_scene.py: it is copied and built
+in a temporary folder, or in `--work`, where scenes are kept too. Every run is a process of its own, timed without the
+reading of the scene and, where compiled, without compiling. Per scene and number of threads: seconds a step of
 Levenberg-Marquardt (a trial step, accepted or not, with its linear solve), ratio to Ceres (analytic derivatives,
 DENSE_SCHUR), trial steps, final cost (half the sum of squares), peak memory. large: 1000 cameras, 3 million
-observations, dense and iterative. jacobian: exact derivatives against those with the refrax ratio frozen.
+observations. jacobian: exact derivatives against those with the refrax ratio frozen. iterative: the reduced system
+by conjugate gradients. OpenMP's threads wait by spinning here, for which the machine must be idle.
 """
 
 import argparse
@@ -32,7 +33,7 @@ HEADER = f"{'':<34} {'s / step':>9} {'ratio':>6} {'steps':>6} {'half SSE':>17} {
 def main() -> None:
     parser = argparse.ArgumentParser(description="Bundle adjustment beside Ceres.")
     parser.add_argument("--ceres", type=Path, help="folder of the Ceres program and the scenes' generator")
-    parser.add_argument("--only", default="peers,large,jacobian")
+    parser.add_argument("--only", default="peers,large,jacobian,iterative")
     parser.add_argument("--threads", default="1,2")
     parser.add_argument("--work", type=Path, help="where to build and keep scenes (a temporary folder)")
     parser.add_argument("--worker", type=Path, help=argparse.SUPPRESS)
@@ -59,9 +60,9 @@ def main() -> None:
             _show("50 cameras, exact", _run(scene, 1))
             _show("50 cameras, ratio frozen", _run(scene, 1, "--frozen"))
         if "large" in parts:
-            scene = _scene(work, *LARGE)
-            for flags in ([], ["--iterative"]):
-                _show(f"1000 cameras, {'iterative' if flags else 'dense'}", _run(scene, 2, *flags))
+            _show("1000 cameras", _run(_scene(work, *LARGE), max(threads)))
+        if "iterative" in parts:
+            _show("50 cameras, iterative", _run(_scene(work, *SCENES["50 cameras"]), max(threads), "--iterative"))
 
 
 def _compare(program: Path, scene: Path, name: str, threads: int) -> None:
@@ -102,8 +103,8 @@ def _scene(work: Path, cameras: int, points: int) -> Path:
 
 def _ceres(program: Path, scene: Path, threads: int) -> dict[str, Any]:
     command = [program, scene.with_suffix(".txt"), "analytic", "dense_schur", str(threads), "50"]
-    limit = {} if threads > 1 else {"preexec_fn": lambda: os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})}
-    process = subprocess.Popen(command, env=os.environ | {"FULL": "1"}, stdout=subprocess.PIPE, text=True, **limit)
+    pinned = ["taskset", "-c", str(max(os.sched_getaffinity(0)))] if threads == 1 else []
+    process = subprocess.Popen([*pinned, *command], env=os.environ | {"FULL": "1"}, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     told = process.stdout.read()
     _, _, usage = os.wait4(process.pid, 0)
@@ -122,7 +123,7 @@ def _ceres(program: Path, scene: Path, threads: int) -> dict[str, Any]:
 
 def _run(scene: Path, threads: int, *flags: str) -> dict[str, Any]:
     command = [sys.executable, __file__, "--worker", scene.with_suffix(".npz"), "--threads", str(threads), *flags]
-    limits = {"OMP_NUM_THREADS": str(threads), "MKL_NUM_THREADS": str(threads), "OMP_WAIT_POLICY": "PASSIVE"}
+    limits = {"OMP_NUM_THREADS": str(threads), "MKL_NUM_THREADS": str(threads)}
     done = subprocess.run(command, env=os.environ | limits, check=True, stdout=subprocess.PIPE, text=True)
     return json.loads(done.stdout.splitlines()[-1])
 

@@ -108,7 +108,7 @@ def study(scene: Scene, positions: bool, draws: int, seed: int) -> list[tuple[st
     bound: Uncertainty | None = None
     for _ in range(draws):
         truth = scene.truth
-        level = HEIGHT_SIGMA * float(noise(())) if positions else 0.0
+        level = HEIGHT_SIGMA * float(noise(1)) if positions else 0.0
         start = replace(
             truth,
             rotation=so3_exp(0.01 * noise(CAMERAS, 3)) @ truth.rotation,
@@ -160,7 +160,8 @@ def _compared(
         normal, offset = found.planes
         plane = torch.cat((torch.stack((-normal[:, 1], normal[:, 0]), dim=-1), offset[:, None]), dim=-1)
         first = 6 * CAMERAS + 1
-        rows.append(("plane", plane, *(u.covariance[None, first:, first:] for u in (told, bound))))
+        reported, least = (u.covariance[None, first:, first:] for u in (told, bound))
+        rows.append(("plane", plane, reported, least))
     return rows
 
 

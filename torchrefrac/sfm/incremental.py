@@ -133,6 +133,8 @@ class _Growth:
     def _filter(self, model: SparseModel, min_length: int = 2) -> SparseModel:
         """Drop points that do not fit, and images that are left with next to none."""
         model, lost = drop_unsupported_images(filter_points(model, self.options, min_length))
+        if lost:
+            model = filter_points(model, self.options, min_length)
         for image in lost:
             self.failures[self.capture.names[image]] = "lost its points when all images were adjusted together"
             self._refused[image] = int(visible_points(model)[image])

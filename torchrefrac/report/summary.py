@@ -1,0 +1,75 @@
+"""What a command says when it is done."""
+
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+from torchrefrac.report.terminal import WIDTH
+
+LEFT_OUT = {
+    "lost_images": "images left out, as too few of their points fit",
+    "lost_marks": "marks left out, as they do not fit or are not seen",
+    "images_only_in_survey": "images of the survey that the alignment does not have",
+}
+
+
+def summary(lines: Sequence[str]) -> str:
+    """One text, wrapped for the terminal."""
+    filled = (
+        textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+        for line in lines
+    )
+    return "\n".join(filled)
+
+
+def adjustment_lines(metrics: dict[str, Any]) -> list[str]:
+    """Of `torchrefrac adjust`, from its metrics."""
+    unit, sigma = metrics["length_unit"], metrics["index_ratio_sigma"]
+    spread = "" if sigma is None else f" +- {sigma:.2g}"
+    lines = [
+        f"{metrics['adjusted_images']} of {metrics['images']} images adjusted, {metrics['points']} points "
+        f"({metrics['dropped_points']} dropped), {metrics['observations']} observations "
+        f"({metrics['dropped_observations']} dropped)",
+        f"median reprojection error {metrics['reprojection_median_px']:.3f} px, through the water before "
+        f"{metrics['reprojection_median_before_px']:.3f} px, {metrics['seconds_total']:.1f} s",
+        f"index ratio {metrics['index_ratio']:.4f}{spread}, cameras moved by "
+        f"{metrics[f'camera_shift_median_{unit}']:.4g} {unit} (median), "
+        f"{metrics[f'camera_shift_max_{unit}']:.4g} {unit} at most",
+        *metrics["determined"],
+    ]
+    lines += [f"not refined: {sentence}" for sentence in metrics["held"].values()]
+    for key, words in LEFT_OUT.items():
+        if key in metrics:
+            lines.append(f"{words}: {', '.join(metrics[key])}")
+    if metrics["adjustment"] != "converged":
+        lines.append(f"the adjustment ended as {metrics['adjustment']}; see bundle.solver for its limits")
+    return lines + _against_truth(metrics)
+
+
+def _against_truth(metrics: dict[str, Any]) -> list[str]:
+    key = next((key for key in metrics if key.startswith("camera_rms_")), None)
+    if key is None:
+        return []
+    unit = key.removeprefix("camera_rms_")
+    line = f"against truth ({metrics['alignment']} alignment): cameras {metrics[key]:.4f} {unit} RMS"
+    if f"surface_median_{unit}" in metrics:
+        line += f", points {metrics[f'surface_median_{unit}']:.4f} {unit} from the surface (median)"
+    return [line]
+
+
+def reconstruction_lines(metrics: dict[str, Any]) -> list[str]:
+    """Of a reconstruction, from its metrics."""
+    lines = [
+        f"{metrics['registered_images']} of {metrics['images']} images registered, {metrics['points']} points, "
+        f"median reprojection error {metrics['reprojection_median_px']:.3f} px, {metrics['seconds_total']:.1f} s"
+    ]
+    lines += [f"not registered: {name} {reason}" for name, reason in metrics.get("not_registered", {}).items()]
+    if metrics["gravity"] == "estimated":
+        lines.append(
+            "gravity was estimated from the refraction; the verticals are determined to "
+            f"{metrics['gravity_sigma_deg']:.1f} degrees"
+        )
+    if "index_ratio_sigma" in metrics:
+        lines.append(f"index ratio {metrics['index_ratio']:.4f} +- {metrics['index_ratio_sigma']:.2g}")
+    lines += [f"not refined: {sentence}" for sentence in metrics.get("held", {}).values()]
+    return lines + _against_truth(metrics)
