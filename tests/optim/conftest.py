@@ -53,11 +53,13 @@ def make_linear(draw, generator) -> Callable[..., Linear]:
 def cut(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """`cut(tile, elements, gram, cached)`: smaller portions of work from now on."""
 
-    def portions(tile: int = 64, elements: int = 1 << 19, gram: int = 256, cached: int = 16384) -> None:
+    def portions(tile: int = 64, elements: int = 1 << 19, gram: int = 64, cached: int = 16384) -> None:
         for module in (plan, elimination, covariance):
             monkeypatch.setattr(module, "TILE", tile)
         monkeypatch.setattr(plan, "CHUNK_ELEMENTS", elements)
         monkeypatch.setattr(plan, "GRAM_ROWS", gram)
+        for module in (plan, normal_equations):
+            monkeypatch.setattr(module, "CACHED", cached)
         slices = normal_equations.in_cache
         for module in (normal_equations, elimination):
             monkeypatch.setattr(module, "in_cache", lambda count, size=cached: slices(count, min(size, cached)))

@@ -1,6 +1,6 @@
 """Bundle adjustment beside Ceres: same scene, same start, same tolerance, same machine.
 
-    python tools/bench/bundle.py --ceres ../shared/peers/ceres_ba [--only peers,large,jacobian,iterative] [--threads 1,2]
+    python tools/bench/bundle.py --ceres FOLDER [--only peers,large,jacobian,iterative] [--threads 1,2]
 
 `--ceres` is a folder with ba.cc, CMakeLists.txt (needs Ceres 2.1 and CMake) and make_scene.py: it is copied and built
 in a temporary folder, or in `--work`, where scenes are kept too. Every run is a process of its own, timed without the

@@ -1,7 +1,8 @@
 """The bundle adjustment cost (paper, Eq. 20): reprojection errors through the water, and whatever else was measured."""
 
+import weakref
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -18,7 +19,10 @@ from torchrefrac.optim import Blocks, Linearized, SchurPlan, Step, linearize
 
 @dataclass(frozen=True)
 class BundleProblem:
-    """Observations of points that are eliminated (`seen`, in the plan's order) and of points that are kept."""
+    """Observations of points that are eliminated (`seen`, in the plan's order) and of points that are kept.
+
+    gauge: how many directions nothing fixes. spare: rows of linearisations that are gone, to be written to again.
+    """
 
     plan: SchurPlan
     layout: Layout
@@ -27,6 +31,7 @@ class BundleProblem:
     terms: tuple[Term, ...]
     options: BundleOptions
     gauge: int
+    spare: list[Tensor] = field(default_factory=list, repr=False, compare=False)
 
     @classmethod
     def create(
@@ -76,7 +81,7 @@ class BundleProblem:
     def linearize(self, state: BundleState) -> Linearized:
         """The normal equations at `state`, with their gauge."""
         options, layout = self.options, self.layout
-        rows, cost = self._rows(state, self.seen)
+        rows, cost = self._rows(state, self.seen, self.spare.pop() if self.spare else None)
         residuals = [term.residuals(state, layout) for term in self.terms]
         blocks = []
         for value, jacobian, columns in residuals:
@@ -93,6 +98,7 @@ class BundleProblem:
         cost = torch.where(state.index_ratio >= 1.0, cost, torch.inf)
         gauge = gauge_directions(state, layout, residuals, self.gauge)
         system = linearize(self.plan, rows, cost, blocks, gauge)
+        weakref.finalize(system, self.spare.append, rows)  # new memory costs as much as what is written to it
         linearized = Linearized(system, options.reduced_solver, options.iterative)
         if linearized.is_dense:
             return linearized
@@ -132,8 +138,8 @@ class BundleProblem:
     def retract(self, state: BundleState, step: Step) -> BundleState:
         return self.layout.retract(state, step)
 
-    def _rows(self, state: BundleState, seen: Observations) -> tuple[Tensor, Tensor]:
-        rows, cost = observation_rows(self.rows_of, state, self.layout.links, seen, self.options.compiled)
+    def _rows(self, state: BundleState, seen: Observations, out: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        rows, cost = observation_rows(self.rows_of, state, self.layout.links, seen, self.options.compiled, out)
         if self.layout.held is not None:
             rows[:, :6].mul_((~self.layout.held)[seen.camera].T)
         if self.layout.hold_points:

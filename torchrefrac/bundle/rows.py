@@ -20,7 +20,7 @@ from torchrefrac.refraction import FlatInterface
 IMPOSSIBLE_PX = 1e3
 POSE = ("rotation", "center")
 WATER = {"index_ratio": "indices", "plane_tilt": "plane_tilt", "plane_height": "plane_height"}
-BLOCK = 32768
+BLOCK, COMPILED_BLOCK = 32768, 65536
 
 
 class LensUnknown(NamedTuple):
@@ -61,26 +61,31 @@ class RowModel:
 
 
 def observation_rows(
-    model: RowModel, state: BundleState, links: Links, seen: Observations, compiled: bool = False
+    model: RowModel,
+    state: BundleState,
+    links: Links,
+    seen: Observations,
+    compiled: bool = False,
+    out: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Rows (2, width + 4, N), weighted, and the cost of the observations, a scalar.
 
     Per observation: derivatives in the pose (rotation, centre), in the lens, in the water, in the point; the residual
     (projection minus pixel). The loss is of the reprojection error, and weighted as a whole. An impossible observation
-    (behind the camera, say) weighs nothing and costs as much as one that is IMPOSSIBLE_PX off.
+    (behind the camera, say) weighs nothing and costs as much as one that is IMPOSSIBLE_PX off. out: where to write the
+    rows, if its shape is theirs.
     """
     tables = _Tables.of(state, links)
-    if compiled:
-        rows, rho = _compiled()(model, *tables.gather(seen))
-        if seen.weight is not None:
-            rows, rho = rows * seen.weight.sqrt(), rho * seen.weight
-        return rows, 0.5 * rho.sum()
-    rows = seen.pixels.new_empty(2, model.width + 4, len(seen))
+    shape = (2, model.width + 4, len(seen))
+    rows = out if out is not None and out.shape == shape else seen.pixels.new_empty(shape)
     cost = seen.pixels.new_zeros(())
-    for here in in_cache(len(seen), BLOCK):
-        (u, v), rho = _parts(model, *tables.gather(seen[here]))
-        torch.stack(u, out=rows[0, :, here])
-        torch.stack(v, out=rows[1, :, here])
+    for here in in_cache(len(seen), COMPILED_BLOCK if compiled else BLOCK):
+        if compiled:
+            rho = _compiled()(rows[..., here], model, *tables.gather(seen[here]))
+        else:
+            (u, v), rho = _parts(model, *tables.gather(seen[here]))
+            torch.stack(u, out=rows[0, :, here])
+            torch.stack(v, out=rows[1, :, here])
         if seen.weight is not None:
             rows[..., here] *= seen.weight[here].sqrt()
             rho = rho * seen.weight[here]
@@ -170,6 +175,12 @@ def _rows(model: RowModel, *tensors: Tensor) -> tuple[Tensor, Tensor]:
     return torch.stack([part for axis in axes for part in axis]).unflatten(0, (2, -1)), rho
 
 
+def _write_rows(out: Tensor, model: RowModel, *tensors: Tensor) -> Tensor:
+    rows, rho = _rows(model, *tensors)
+    out.copy_(rows)
+    return rho
+
+
 @cache
-def _compiled() -> Callable[..., tuple[Tensor, Tensor]]:
-    return torch.compile(_rows, dynamic=True)
+def _compiled() -> Callable[..., Tensor]:
+    return torch.compile(_write_rows, dynamic=True)

@@ -17,9 +17,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchrefrac.optim.plan import CAMERA_SIZE, SchurPlan
+from torchrefrac.optim.plan import CACHED, CAMERA_SIZE, SchurPlan
 
-CACHED = 16384
 NEGLIGIBLE = 1e-18
 UPPER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
 
@@ -118,17 +117,15 @@ def _point_sums(plan: SchurPlan, rows: Tensor) -> tuple[Tensor, Tensor]:
 
 def _camera_blocks(plan: SchurPlan, rows: Tensor) -> Blocks:
     """J^T J and J^T r of each camera: products of matrices with the observations of a camera below each other."""
-    count, width = rows.shape[-1], rows.shape[1] - 3
-    listed = rows.new_empty(count + 1, rows.shape[0] * width)
-    listed[-1] = 0.0
-    for here in in_cache(count):
-        part = torch.cat((rows[:, :-4, here], rows[:, -1:, here]), dim=1)
-        listed[here] = part.flatten(0, 1).T
+    width = rows.shape[1] - 3
     total = rows.new_zeros(plan.num_cameras, width, width)
-    table, owner = plan.gram_rows
-    for here in in_cache(len(owner), CACHED // table.shape[1]):
-        mine = listed.index_select(0, table[here].flatten()).view(-1, table.shape[1] * rows.shape[0], width)
-        total.index_add_(0, owner[here], mine.mT @ mine)
+    table, owner, ends = plan.gram_rows
+    listed = rows.new_zeros(CACHED + 1, rows.shape[0] * width)  # what fills up the table is the last row, zero
+    for here, first, end in zip(in_cache(rows.shape[-1]), (0, *ends), ends, strict=False):
+        part = torch.cat((rows[:, :-4, here], rows[:, -1:, here]), dim=1)
+        listed[: part.shape[-1]] = part.flatten(0, 1).T
+        mine = listed.index_select(0, table[first:end].flatten()).view(end - first, -1, width)
+        total.index_add_(0, owner[first:end], mine.mT @ mine)
     return Blocks(plan.columns, total[:, :-1, :-1], total[:, :-1, -1])
 
 

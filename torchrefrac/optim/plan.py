@@ -18,7 +18,8 @@ CAMERA_SIZE = 6
 POINT_SIZE = 3
 CHUNK_ELEMENTS = 1 << 19
 CHUNK_GROWTH = 1.15
-GRAM_ROWS = 256
+GRAM_ROWS = 64
+CACHED = 16384
 
 
 class Family(NamedTuple):
@@ -43,6 +44,15 @@ class Chunk(NamedTuple):
     observations: slice
     cameras: Tensor
     place: Tensor
+
+
+class GramRows(NamedTuple):
+    """Observations of one camera in rows of GRAM_ROWS, counted within their stretch of CACHED (k, GRAM_ROWS) and
+    filled up with CACHED; whose each row is (k); and how many rows there are up to the end of each stretch."""
+
+    table: Tensor
+    owner: Tensor
+    ends: list[int]
 
 
 @dataclass(frozen=True)
@@ -116,18 +126,20 @@ class SchurPlan:
         return CAMERA_SIZE * self.num_cameras + self.num_shared + self.num_extra
 
     @cached_property
-    def gram_rows(self) -> tuple[Tensor, Tensor]:
-        """The observations of each camera in rows of at most GRAM_ROWS (k, GRAM_ROWS), filled up with N, and whose each
-        row is (k)."""
-        by_camera = torch.argsort(self.camera, stable=True)
-        count = torch.bincount(self.camera, minlength=self.num_cameras)
-        first = torch.cumsum(count, dim=0) - count
-        rows_of = (count + GRAM_ROWS - 1) // GRAM_ROWS
-        owner = torch.repeat_interleave(torch.arange(self.num_cameras, device=count.device), rows_of)
-        row_in_camera = torch.arange(len(owner), device=count.device) - (torch.cumsum(rows_of, 0) - rows_of)[owner]
-        within = row_in_camera[:, None] * GRAM_ROWS + _range(GRAM_ROWS, owner)
-        table = by_camera[(first[owner][:, None] + within).clamp(max=len(by_camera) - 1)]
-        return torch.where(within < count[owner][:, None], table, len(by_camera)), owner
+    def gram_rows(self) -> "GramRows":
+        """Where the observations of each camera are, a stretch of CACHED observations at a time."""
+        count, m = len(self.camera), self.num_cameras
+        stretch = torch.div(_range(count, self.camera), CACHED, rounding_mode="floor")
+        group, order = torch.sort(stretch * m + self.camera, stable=True)
+        size = torch.bincount(group, minlength=m * -(-count // CACHED))
+        rows_of = (size + GRAM_ROWS - 1) // GRAM_ROWS
+        owner = torch.repeat_interleave(_range(len(size), size), rows_of)
+        row = _range(len(owner), owner) - (torch.cumsum(rows_of, dim=0) - rows_of)[owner]
+        within = row[:, None] * GRAM_ROWS + _range(GRAM_ROWS, owner)
+        index = (torch.cumsum(size, dim=0) - size)[owner][:, None] + within
+        table = order[index.clamp(max=max(count - 1, 0))] % CACHED
+        per_stretch = torch.cumsum(rows_of.view(-1, m).sum(dim=1), dim=0).tolist()
+        return GramRows(torch.where(within < size[owner][:, None], table, CACHED), owner % m, per_stretch)
 
 
 def _columns(num_cameras: int, families: Sequence[Family], like: Tensor) -> Tensor:
