@@ -28,6 +28,7 @@ bench: $(READY)
 	$(BIN)/python tools/bench/refraction.py
 	$(BIN)/python tools/bench/solvers.py --problems 100
 	$(BIN)/python tools/bench/sparse.py $(wildcard ../shared/data/tank)
+	$(BIN)/python tools/bench/uncertainty.py
 
 clean:
 	rm -rf $(VENV) outputs/* .pytest_cache .ruff_cache
