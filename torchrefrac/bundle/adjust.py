@@ -66,6 +66,7 @@ def adjust(
         layout = Layout.create(state, links, tuple(u for u in options.refine if u not in refused), held, kept=kept)
         problem = BundleProblem.create(state, layout, observations, options, terms)
     report = minimize(problem, state, options.solver, callback)
+    problem.spare.clear()
     return BundleReport(report.state, report.status, report.iterations, report.costs, problem, refused)
 
 
