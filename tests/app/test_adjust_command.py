@@ -187,7 +187,7 @@ def test_what_is_not_determined_is_held_and_said(torchrefrac, given, metrics, tm
     ended = torchrefrac("adjust", f"alignment={given}", "index_ratio=1", "bundle.refine=[plane_tilt]", "out=run")
 
     assert ended.status == 0
-    told = "tilt of the water against the cameras: not determined"
+    told = "tilt of the water to the cameras: not determined"
     assert metrics(tmp_path / "run")["held"] == {"plane_tilt": told}
     assert f"not refined: {told}" in ended.out
 

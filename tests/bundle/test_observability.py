@@ -76,7 +76,7 @@ def test_over_land_alone_it_is_not_and_the_adjustment_holds_it_and_says_so(plant
 
     assert report.held == {
         "index_ratio": "index ratio: not determined",
-        "plane_tilt": "tilt of the water against the cameras: not determined",
+        "plane_tilt": "tilt of the water to the cameras: not determined",
         "plane_height": "height of the cameras above the water, relative: not determined",
     }
     assert report.problem.layout.water == ()
@@ -292,7 +292,7 @@ def test_every_determination_reads_as_one_short_sentence_with_its_unit():
 
 def test_a_sentence_says_what_was_gained():
     assert Determination("plane_tilt", 0.02, 0.5).sentence == (
-        "tilt of the water against the cameras: determined to 0.02 degrees (known to 0.5 degrees before)"
+        "tilt of the water to the cameras: determined to 0.02 degrees (known to 0.5 degrees before)"
     )
     assert Determination("principal_point", 3.0).sentence == "principal point: determined to 3 px"
     assert Determination("index_ratio", 0.0099, 0.01).sentence.endswith("which is what was known before")

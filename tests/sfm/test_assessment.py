@@ -50,7 +50,7 @@ def test_water_and_scale_are_told_in_sentences(adjusted):
 
     assert [sentence.split(":")[0] for sentence in told.determined] == [
         "index ratio",
-        "tilt of the water against the cameras",
+        "tilt of the water to the cameras",
         "height of the cameras above the water, relative",
         "scale, relative",
     ]

@@ -16,7 +16,7 @@ from torchrefrac.optim import Covariance, SingularError
 UNNOTICED = 1e-6
 WORDS = {
     "index_ratio": "index ratio",
-    "plane_tilt": "tilt of the water against the cameras",
+    "plane_tilt": "tilt of the water to the cameras",
     "plane_height": "height of the cameras above the water, relative",
     "scale": "scale, relative",
     "focal": "focal length, relative",
