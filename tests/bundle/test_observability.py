@@ -77,7 +77,7 @@ def test_over_land_alone_it_is_not_and_the_adjustment_holds_it_and_says_so(plant
     assert report.held == {
         "index_ratio": "index ratio: not determined",
         "plane_tilt": "tilt of the water to the cameras: not determined",
-        "plane_height": "height of the cameras above the water, relative: not determined",
+        "plane_height": "height of cameras above the water, relative: not determined",
     }
     assert report.problem.layout.water == ()
     assert torch.equal(report.state.index_ratio, start.index_ratio)

@@ -51,7 +51,7 @@ def test_water_and_scale_are_told_in_sentences(adjusted):
     assert [sentence.split(":")[0] for sentence in told.determined] == [
         "index ratio",
         "tilt of the water to the cameras",
-        "height of the cameras above the water, relative",
+        "height of cameras above the water, relative",
         "scale, relative",
     ]
     assert told.determined[-1] == "scale, relative: not determined"

@@ -17,7 +17,7 @@ UNNOTICED = 1e-6
 WORDS = {
     "index_ratio": "index ratio",
     "plane_tilt": "tilt of the water to the cameras",
-    "plane_height": "height of the cameras above the water, relative",
+    "plane_height": "height of cameras above the water, relative",
     "scale": "scale, relative",
     "focal": "focal length, relative",
     "principal_point": "principal point",
