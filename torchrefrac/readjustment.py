@@ -91,7 +91,7 @@ def _stage(files: RunFolder, name: str) -> Iterator[None]:
 def _remove_results(folder: Path) -> None:
     """Those of an earlier adjustment that a `RunFolder` does not know."""
     model = folder / MODEL
-    for path in (folder / WATER, folder / TRACKS, *(model / f"{s}{end}" for s in STEMS for end in (".txt", ".bin"))):
+    for path in (folder / WATER, *(model / f"{s}{end}" for s in STEMS for end in (".txt", ".bin"))):
         path.unlink(missing_ok=True)
 
 

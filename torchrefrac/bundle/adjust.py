@@ -64,7 +64,7 @@ def adjust(
     refused = {} if options.refine_unseen else unseen(problem, state, options.pixel_sigma)
     if refused:
         layout = Layout.create(state, links, tuple(u for u in options.refine if u not in refused), held, kept=kept)
-        problem = BundleProblem.create(state, layout, observations, options, terms)
+        problem = problem.with_layout(state, layout, options, problem.terms)  # no term is about what is refused
     report = minimize(problem, state, options.solver, callback)
     problem.spare.clear()
     return BundleReport(report.state, report.status, report.iterations, report.costs, problem, refused)

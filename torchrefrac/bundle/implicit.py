@@ -23,7 +23,7 @@ from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.bundle.rows import differentiable_rows
 from torchrefrac.bundle.state import BundleState, Links, Observations
 from torchrefrac.bundle.terms import Term
-from torchrefrac.optim import GaussNewtonInverse, Step, robust
+from torchrefrac.optim import GaussNewtonInverse, Step, conjugate_gradients, robust
 
 MAX_STEPS = 100
 TOLERANCE = 1e-12
@@ -92,7 +92,9 @@ def _attach(problem: BundleProblem, solution: BundleState) -> Step:
         (product,) = torch.autograd.grad(moved, zero, vector, retain_graph=True)
         return product + inverse.gauge_times(vector)
 
-    step = _Solve.apply(gradient, lambda right: _solve(hessian_times, inverse, right))
+    step = _Solve.apply(
+        gradient, lambda right: conjugate_gradients(hessian_times, inverse, right, TOLERANCE, MAX_STEPS)
+    )
     return _step(problem, -step)
 
 
@@ -142,21 +144,3 @@ class _Solve(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx, gradient: Tensor) -> tuple[Tensor, None]:
         return ctx.solve(gradient), None
-
-
-def _solve(times: Callable[[Tensor], Tensor], inverse: GaussNewtonInverse, right: Tensor) -> Tensor:
-    """Conjugate gradients from the Gauss-Newton solution."""
-    x = inverse(right)
-    residual = right - times(x)
-    z = inverse(residual)
-    direction, size, enough = z, residual @ z, TOLERANCE**2 * (right @ x).abs()
-    for _ in range(MAX_STEPS):
-        if bool(size <= enough):
-            break
-        along = times(direction)
-        length = size / (direction @ along)
-        x, residual = x + length * direction, residual - length * along
-        z = inverse(residual)
-        before, size = size, residual @ z
-        direction = z + (size / before) * direction
-    return x

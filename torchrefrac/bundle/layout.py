@@ -10,12 +10,11 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torchrefrac.bundle.rows import LENS
+from torchrefrac.bundle.rows import LENS, WATER_WIDTH
 from torchrefrac.bundle.state import BundleState, Links
 from torchrefrac.geometry import Plane, so3_exp
 from torchrefrac.optim import Family, Step
 
-WATER_WIDTH = {"index_ratio": 1, "plane_tilt": 2, "plane_height": 1}
 POSE_SIZE = 6
 
 

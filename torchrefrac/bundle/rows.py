@@ -19,6 +19,7 @@ from torchrefrac.refraction import FlatInterface
 
 IMPOSSIBLE_PX = 1e3
 POSE = ("rotation", "center")
+WATER_WIDTH = {"index_ratio": 1, "plane_tilt": 2, "plane_height": 1}
 WATER = {"index_ratio": "indices", "plane_tilt": "plane_tilt", "plane_height": "plane_height"}
 BLOCK, COMPILED_BLOCK = 32768, 65536
 
@@ -57,7 +58,7 @@ class RowModel:
     @property
     def width(self) -> int:
         """How many unknowns an observation depends on beside its point's."""
-        return 6 + sum(LENS[name].width for name in self.lens) + sum(2 if n == "plane_tilt" else 1 for n in self.water)
+        return 6 + sum(LENS[name].width for name in self.lens) + sum(WATER_WIDTH[name] for name in self.water)
 
 
 def observation_rows(

@@ -46,10 +46,6 @@ class BundleState:
         assert self.offset is not None
         return self.normal, self.offset
 
-    def interface(self) -> FlatInterface:
-        """The water, with planes as a batch (E)."""
-        return FlatInterface(self.index_ratio, plane=Plane(*self.planes, check=False), check=False)
-
     def cameras(self, links: "Links", image: Tensor) -> RefractiveCamera:
         """The cameras of images (*B), as a batch (*B)."""
         normal, offset = self.planes

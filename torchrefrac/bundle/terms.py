@@ -58,9 +58,8 @@ class CenterPrior:
     information: Tensor
 
     def residuals(self, state: BundleState, layout: Layout) -> Residuals:
-        root = _root(self.information)
-        value = _times(root, state.center[self.image] - self.position)
-        return Residuals(value, root, layout.pose_columns(self.image)[:, 3:])
+        error = state.center[self.image] - self.position
+        return _weighed(error, self.information, layout.pose_columns(self.image)[:, 3:])
 
 
 @dataclass(frozen=True)
@@ -73,9 +72,9 @@ class HeightPrior:
 
     def residuals(self, state: BundleState, layout: Layout) -> Residuals:
         which = layout.links.plane[self.image]
-        above, by_position, by_plane = _above_plane(state, which, state.center[self.image])
+        above, jacobian = _above_plane(state, which, state.center[self.image])
         columns = torch.cat((layout.pose_columns(self.image)[:, 3:], layout.plane_columns(which)), dim=1)
-        return _scalar(above - self.height, torch.cat((by_position, by_plane), dim=1), columns, self.sigma)
+        return _scalar(above - self.height, jacobian, columns, self.sigma)
 
 
 @dataclass(frozen=True)
@@ -87,9 +86,8 @@ class KnownPoints:
     information: Tensor
 
     def residuals(self, state: BundleState, layout: Layout) -> Residuals:
-        root = _root(self.information)
-        value = _times(root, state.points[self.point] - self.position)
-        return Residuals(value, root, layout.point_columns(self.point))
+        error = state.points[self.point] - self.position
+        return _weighed(error, self.information, layout.point_columns(self.point))
 
 
 @dataclass(frozen=True)
@@ -118,9 +116,9 @@ class Waterline:
     sigma: Tensor
 
     def residuals(self, state: BundleState, layout: Layout) -> Residuals:
-        above, by_position, by_plane = _above_plane(state, self.plane, state.points[self.point])
+        above, jacobian = _above_plane(state, self.plane, state.points[self.point])
         columns = torch.cat((layout.point_columns(self.point), layout.plane_columns(self.plane)), dim=1)
-        return _scalar(above, torch.cat((by_position, by_plane), dim=1), columns, self.sigma)
+        return _scalar(above, jacobian, columns, self.sigma)
 
 
 @dataclass(frozen=True)
@@ -202,26 +200,23 @@ def concerned_points(terms: Sequence[Term], num_points: int, like: Tensor) -> Te
     return mask
 
 
-def _above_plane(state: BundleState, which: Tensor, position: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Heights (k) of positions (k, 3) above planes `which` (k); derivatives in the position (k, 3), and in the tilts
-    and the height of the plane (k, 3), see `Plane.moved`."""
+def _above_plane(state: BundleState, which: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
+    """Heights (k) of positions (k, 3) above planes `which` (k), and their derivatives (k, 6) in the position and in the
+    tilts and the height of the plane (see `Plane.moved`)."""
     normal, offset = (value[which] for value in state.planes)
     first, second = Plane(normal, offset, check=False).tangents_like(position)
     by_plane = torch.stack((-(second * position).sum(-1), (first * position).sum(-1), -torch.ones_like(offset)), dim=-1)
-    return (normal * position).sum(-1) - offset, normal, by_plane
+    return (normal * position).sum(-1) - offset, torch.cat((normal, by_plane), dim=1)
 
 
 def _scalar(value: Tensor, jacobian: Tensor, columns: Tensor, sigma: Tensor) -> Residuals:
     return Residuals((value / sigma)[:, None], (jacobian / sigma[:, None])[:, None], columns)
 
 
-def _root(information: Tensor) -> Tensor:
-    """W with W^T W = information (k, 3, 3)."""
-    return torch.linalg.cholesky_ex(information)[0].mT
-
-
-def _times(matrix: Tensor, vector: Tensor) -> Tensor:
-    return (matrix @ vector[..., None])[..., 0]
+def _weighed(error: Tensor, information: Tensor, columns: Tensor) -> Residuals:
+    """Of errors (k, 3) with inverse covariances W^T W = information (k, 3, 3)."""
+    root = torch.linalg.cholesky_ex(information)[0].mT
+    return Residuals((root @ error[..., None])[..., 0], root, columns)
 
 
 def _all_or(image: Tensor | None, like: Tensor) -> Tensor:

@@ -5,7 +5,7 @@ from torchrefrac.optim.covariance import Covariance
 from torchrefrac.optim.dense import solve_dense
 from torchrefrac.optim.elimination import Elimination
 from torchrefrac.optim.inverse import GaussNewtonInverse, SingularError
-from torchrefrac.optim.iterative import IterativeOptions, solve_iteratively
+from torchrefrac.optim.iterative import IterativeOptions, conjugate_gradients, solve_iteratively
 from torchrefrac.optim.levenberg_marquardt import (
     LevenbergMarquardtOptions,
     Linearization,
@@ -42,6 +42,7 @@ __all__ = [
     "SmallReport",
     "Status",
     "Step",
+    "conjugate_gradients",
     "covariance_of",
     "huber",
     "linearize",

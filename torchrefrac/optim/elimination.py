@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchrefrac.numerics import inverse_cholesky_components
-from torchrefrac.optim.normal_equations import UPPER, NormalEquations, in_cache, own_rows
+from torchrefrac.optim.normal_equations import UPPER, NormalEquations, in_cache
 from torchrefrac.optim.plan import CAMERA_SIZE, POINT_SIZE, TILE, Chunk, Family
 
 BLOCK = CAMERA_SIZE * CAMERA_SIZE
@@ -58,7 +58,7 @@ class Elimination:
         for chunk in plan.chunks:
             rows = self.system.rows[..., chunk.observations]
             slim = self._whitened_rows(chunk, rows)
-            z = _outer(slim, own_rows(rows)).flatten(0, 1).T.reshape(-1, CAMERA_SIZE)
+            z = _outer(slim, rows[:, :CAMERA_SIZE]).flatten(0, 1).T.reshape(-1, CAMERA_SIZE)
             across = chunk.cameras.shape[1]
             here = buffer[: len(chunk.cameras) * TILE * POINT_SIZE * across].zero_()
             step = across * torch.arange(POINT_SIZE, device=z.device)

@@ -5,6 +5,7 @@ system restricted to a few directions in which all cameras move together. Refrac
 cameras can rise, tilt and bend with the scene at next to no cost - and block by block they converge very slowly.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -12,6 +13,8 @@ from torch import Tensor
 
 from torchrefrac.optim.elimination import Elimination
 from torchrefrac.optim.plan import CAMERA_SIZE
+
+Operator = Callable[[Tensor], Tensor]
 
 
 @dataclass(frozen=True)
@@ -39,12 +42,22 @@ def solve_iteratively(
 
     right = elimination.along_cameras(elimination.times_inverse(system.point_gradient)) - system.gradient
     precondition = _preconditioner(elimination, lift, coarse, times)
+    x = conjugate_gradients(times, precondition, right, options.tolerance, options.max_iterations)
+    solved = x.isfinite().all() & (x.any() | ~right.any())
+    return torch.where(solved, x, 0.0), solved
+
+
+def conjugate_gradients(
+    times: Operator, precondition: Operator, right: Tensor, tolerance: float, max_iterations: int
+) -> Tensor:
+    """x with A x = right (size), or as near as it came: the search ends when the residual has fallen to `tolerance` of
+    the right side in the preconditioner's norm, or where A turns out not to be positive definite."""
     x = torch.zeros_like(right)
     residual, z = right, precondition(right)
     direction = z
     size = start = residual @ z
-    for _ in range(options.max_iterations):
-        if bool(size <= options.tolerance**2 * start):
+    for _ in range(max_iterations):
+        if bool(size <= tolerance**2 * start):
             break
         along = times(direction)
         bend = direction @ along
@@ -55,11 +68,10 @@ def solve_iteratively(
         z = precondition(residual)
         before, size = size, residual @ z
         direction = z + (size / before) * direction
-    solved = x.isfinite().all() & (x.any() | ~right.any())
-    return torch.where(solved, x, 0.0), solved
+    return x
 
 
-def _preconditioner(elimination: Elimination, lift: Tensor, coarse: Tensor | None, times):
+def _preconditioner(elimination: Elimination, lift: Tensor, coarse: Tensor | None, times: Operator) -> Operator:
     """x -> D^-1 x + W (W^T S W)^-1 W^T x."""
     system, plan = elimination.system, elimination.system.plan
     first = CAMERA_SIZE * plan.num_cameras

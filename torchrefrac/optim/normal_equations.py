@@ -17,7 +17,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchrefrac.optim.plan import CACHED, CAMERA_SIZE, SchurPlan
+from torchrefrac.optim.plan import CACHED, SchurPlan
 
 NEGLIGIBLE = 1e-18
 UPPER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
@@ -132,8 +132,3 @@ def _camera_blocks(plan: SchurPlan, rows: Tensor) -> Blocks:
 def in_cache(count: int, size: int = CACHED) -> list[slice]:
     """Slices of `count` elements that are worked through one after another."""
     return [slice(start, min(start + size, count)) for start in range(0, count, size)]
-
-
-def own_rows(rows: Tensor) -> Tensor:
-    """Derivatives in the camera's own six unknowns (r, 6, N)."""
-    return rows[:, :CAMERA_SIZE]
