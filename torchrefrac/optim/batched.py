@@ -4,10 +4,12 @@ The problems know nothing of each other. A step is judged by the cost of the sta
 in the same pass: most steps are accepted, and one pass costs little more than the cost alone.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
+
+LEAVING = 0.3  # of the problems must have converged before it is worth leaving them behind
 
 
 class Quadratic(NamedTuple):
@@ -34,6 +36,15 @@ class SmallReport(NamedTuple):
     converged: Tensor
 
 
+@runtime_checkable
+class Separable(SmallProblems, Protocol):
+    """Problems of which some can be looked at without the others."""
+
+    def subset(self, rows: Tensor) -> "Separable":
+        """The problems `rows` (k) alone."""
+        ...
+
+
 def minimize_each(
     problems: SmallProblems,
     states: Tensor,
@@ -44,11 +55,14 @@ def minimize_each(
     """Minimise each problem from its own state (K, D); no state ends worse than it began.
 
     A problem has converged when the decrease that its model still promises is below `tolerance` of its cost. One that
-    starts from an impossible state, or whose model has no minimum at any damping, does not.
+    starts from an impossible state, or whose model has no minimum at any damping, does not. `Separable` problems that
+    have converged are left out of later iterations.
     """
     current = problems.linearize(states)
     damp = torch.full_like(current.cost, damping)
     converged = torch.zeros_like(current.cost, dtype=torch.bool)
+    waiting: list[tuple[Tensor, SmallReport]] = []  # what has left, and the rows that it had
+    rows = torch.arange(len(states), device=states.device)
     for _ in range(max_iterations):
         step = solve_damped(current, damp)
         promised = -0.5 * (current.gradient * step).sum(dim=-1)
@@ -56,6 +70,11 @@ def minimize_each(
         converged = converged | (solved & current.cost.isfinite() & (promised <= tolerance * current.cost))
         if bool(converged.all()):
             break
+        if isinstance(problems, Separable) and int(converged.sum()) > LEAVING * len(rows):
+            leave, stay = converged.nonzero()[:, 0], (~converged).nonzero()[:, 0]
+            waiting.append((rows[leave], _rows_of(SmallReport(states, current, converged), leave)))
+            states, current, converged = _rows_of(SmallReport(states, current, converged), stay)
+            problems, rows, damp, step, solved = problems.subset(stay), rows[stay], damp[stay], step[stay], solved[stay]
         tried = problems.linearize(states + step)
         better = solved & tried.cost.isfinite() & (tried.cost <= current.cost) & ~converged
         states = torch.where(better[:, None], states + step, states)
@@ -65,7 +84,23 @@ def minimize_each(
             torch.where(better[:, None, None], tried.hessian, current.hessian),
         )
         damp = torch.where(better, 0.1 * damp, 10.0 * damp)
-    return SmallReport(states, current, converged)
+    report = SmallReport(states, current, converged)
+    return _together([*waiting, (rows, report)]) if waiting else report
+
+
+def _rows_of(report: SmallReport, rows: Tensor) -> SmallReport:
+    quadratic = Quadratic(*(part[rows] for part in report.quadratic))
+    return SmallReport(report.states[rows], quadratic, report.converged[rows])
+
+
+def _together(parts: list[tuple[Tensor, SmallReport]]) -> SmallReport:
+    """Reports of some rows each as one of all."""
+    order = torch.cat([rows for rows, _ in parts]).argsort()
+    reports = [report for _, report in parts]
+    quadratic = Quadratic(*(torch.cat(part)[order] for part in zip(*(r.quadratic for r in reports), strict=True)))
+    return SmallReport(
+        torch.cat([r.states for r in reports])[order], quadratic, torch.cat([r.converged for r in reports])[order]
+    )
 
 
 def solve_damped(quadratic: Quadratic, damping: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.scene.atomic import replacing
+from torchrefrac.scene.ply import write_vertices
 from torchrefrac.scene.reconstruction import Reconstruction
 
 FORMAT = "torchrefrac-cameras/1"
@@ -87,19 +88,11 @@ def write_points(points: Tensor, colors: Tensor, path: Path, sigma: Tensor | Non
 
     sigma (n): standard deviations of the points, written as the property `sigma` of the vertices (float32).
     """
-    columns = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
-    values = [*points.T, *colors.T]
+    columns = [(name, "f4", value) for name, value in zip("xyz", points.T, strict=True)]
+    columns += [(name, "u1", value) for name, value in zip(("red", "green", "blue"), colors.T, strict=True)]
     if sigma is not None:
-        columns.append(("sigma", "<f4"))
-        values.append(sigma)
-    vertices = np.empty(len(points), dtype=columns)
-    for (name, _), value in zip(columns, values, strict=True):
-        vertices[name] = value.numpy()
-    kinds = {"<f4": "float", "u1": "uchar"}
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    header += [f"property {kinds[kind]} {name}" for name, kind in columns]
-    with replacing(path) as temporary:
-        temporary.write_bytes("\n".join([*header, "end_header", ""]).encode("ascii") + vertices.tobytes())
+        columns.append(("sigma", "f4", sigma))
+    write_vertices(columns, path)
 
 
 def load_points(path: Path) -> tuple[Tensor, Tensor]:

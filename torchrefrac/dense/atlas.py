@@ -1,0 +1,119 @@
+"""Several images and their smaller copies on one sheet, so that one call samples windows in all of them.
+
+Sampling is PyTorch's `grid_sample`, with its own derivative: `kornia.warp_affine` and `warp_perspective` do the same for
+patches at a third of the speed (tools/bench/dense.py). kornia makes the smaller copies.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+MARGIN = 2  # pixels between neighbours on the sheet, and around each, filled with its border
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """m images, or parts of them, in L sizes, each half of the one before, on one sheet.
+
+    sheet (1, 1, H, W), grey; offset (m, L, 2): from a pixel of a copy (x, y) to its place on the sheet; origin (m, 2):
+    the part's corner in its image; size (m, L, 2): width and height of each copy in its own pixels. A copy's pixels
+    (COLMAP's convention) are those of the part divided by 2^level. mode: bilinear or bicubic.
+    """
+
+    sheet: Tensor
+    offset: Tensor
+    origin: Tensor
+    size: Tensor
+    mode: str
+
+    @classmethod
+    def build(
+        cls,
+        images: Sequence[Tensor],
+        levels: int,
+        origin: Tensor | None = None,
+        mode: str = "bilinear",
+    ) -> "Atlas":
+        """Of grey parts (h, w), which may differ in size, with their corners (m, 2). Differentiable in the images."""
+        copies = [copy for image in images for copy in pyramid(image, levels)]
+        places, height, width = _shelves([(copy.shape[0], copy.shape[1]) for copy in copies])
+        sheet = copies[0].new_zeros(height, width)
+        for copy, (x, y) in zip(copies, places, strict=True):
+            h, w = copy.shape
+            padded = torch.nn.functional.pad(copy[None, None], (MARGIN,) * 4, mode="replicate")[0, 0]
+            sheet[y : y + h + 2 * MARGIN, x : x + w + 2 * MARGIN] = padded
+        shape, device = (len(images), levels, 2), sheet.device
+        offset = torch.tensor([(x + MARGIN, y + MARGIN) for x, y in places], dtype=torch.float64, device=device)
+        size = torch.tensor([(c.shape[1], c.shape[0]) for c in copies], dtype=torch.float64, device=device)
+        if origin is None:
+            origin = size.new_zeros(len(images), 2)
+        return cls(sheet[None, None], offset.view(shape), origin.to(size), size.view(shape), mode)
+
+    @property
+    def levels(self) -> int:
+        return self.offset.shape[1]
+
+    def contains(self, image: Tensor, level: Tensor, pixels: Tensor) -> Tensor:
+        """Whether all of pixels (P, K, 2) of images (P) lie in their copies (P), half a pixel from the border: (P)."""
+        at = self._in_copy(image, level, pixels)
+        return ((at > 0.5) & (at < self.size[image, level].to(at)[:, None] - 0.5)).flatten(1).all(dim=1)
+
+    def sample(self, image: Tensor, level: Tensor, pixels: Tensor) -> Tensor:
+        """Grey values (P, K) at pixels (P, K, 2) of images (P) in copies (P); that of the border beyond it.
+
+        Differentiable in the pixels and in the images.
+        """
+        height, width = self.sheet.shape[-2:]
+        scale = pixels.new_tensor((2.0 / width, 2.0 / height))
+        shrink = self._shrink(level, pixels)
+        shift = (self.offset[image, level].to(pixels) - self.origin[image].to(pixels) * shrink) * scale - 1.0
+        grid = torch.addcmul(shift[:, None], pixels, (shrink * scale)[:, None])
+        return torch.nn.functional.grid_sample(
+            self.sheet, grid[None].to(self.sheet.dtype), mode=self.mode, padding_mode="border", align_corners=False
+        )[0, 0]
+
+    def sample_with_slopes(self, image: Tensor, level: Tensor, pixels: Tensor) -> tuple[Tensor, Tensor]:
+        """`sample`, and the derivatives of the values in their pixels (P, K, 2); without a graph."""
+        pixels = pixels.detach().requires_grad_()
+        with torch.enable_grad():
+            values = self.sample(image, level, pixels)
+        slopes = torch.autograd.grad(values, pixels, torch.ones_like(values))[0]
+        return values.detach(), slopes
+
+    def _in_copy(self, image: Tensor, level: Tensor, pixels: Tensor) -> Tensor:
+        return (pixels - self.origin[image].to(pixels)[:, None]) * self._shrink(level, pixels)[:, None]
+
+    def _shrink(self, level: Tensor, like: Tensor) -> Tensor:
+        return (0.5 ** level.to(like))[:, None]
+
+
+def pyramid(image: Tensor, levels: int) -> list[Tensor]:
+    """The image (h, w) and its smaller copies; odd sizes first repeat their last row or column."""
+    import kornia.geometry.transform as transform  # noqa: PLC0415 - importing it takes seconds
+
+    copies = [image[None, None]]
+    for _ in range(levels - 1):
+        h, w = copies[-1].shape[-2:]
+        even = torch.nn.functional.pad(copies[-1], (0, w % 2, 0, h % 2), mode="replicate")
+        copies.append(transform.pyrdown(even))
+    return [copy[0, 0] for copy in copies]
+
+
+def _shelves(sizes: Sequence[tuple[int, int]]) -> tuple[list[tuple[int, int]], int, int]:
+    """Corners (x, y) of rectangles (h, w) with their margins, put side by side on shelves, the tallest first.
+
+    Also height and width of the whole, which is about square.
+    """
+    padded = [(h + 2 * MARGIN, w + 2 * MARGIN) for h, w in sizes]
+    width = max(int(sum(h * w for h, w in padded) ** 0.5), *(w for _, w in padded), 1)
+    places: list[tuple[int, int]] = [(0, 0)] * len(padded)
+    x = y = shelf = 0
+    for i in sorted(range(len(padded)), key=lambda i: -padded[i][0]):
+        h, w = padded[i]
+        if x + w > width:
+            x, y, shelf = 0, y + shelf, 0
+        places[i] = (x, y)
+        x, shelf = x + w, max(shelf, h)
+    return places, y + shelf, width

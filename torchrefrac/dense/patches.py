@@ -1,0 +1,49 @@
+"""Patches: small oriented pieces of surface, each found in a pixel of its reference image."""
+
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Patches:
+    """N patches. reference (N): index of the image; pixels (N, 2): where they are centred in it.
+
+    points, normals (N, 3): world frame, the normals unit and towards the camera; sigma (N): standard deviation along the
+    ray, footprint (N): how far one reference pixel reaches there, both in length_unit; score (N): mean ZNCC of the images
+    that agree; others (N, V): images that the patch was compared with, and which of them agree: visible (N, V).
+    """
+
+    reference: Tensor
+    pixels: Tensor
+    points: Tensor
+    normals: Tensor
+    sigma: Tensor
+    footprint: Tensor
+    score: Tensor
+    others: Tensor
+    visible: Tensor
+
+    def __len__(self) -> int:
+        return len(self.reference)
+
+    def __getitem__(self, rows: Tensor) -> "Patches":
+        """Some of them, by a mask (N) or indices."""
+        return Patches(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    @property
+    def views(self) -> Tensor:
+        """How many images agree (N), the reference included."""
+        return 1 + self.visible.sum(dim=1)
+
+    @classmethod
+    def empty(cls, views: int) -> "Patches":
+        counts, numbers = torch.zeros(0, dtype=torch.long), torch.zeros(0, dtype=torch.float64)
+        vectors, table = numbers.view(0, 1).expand(0, 3), counts.view(0, 1).expand(0, views)
+        return cls(counts, vectors[:, :2], vectors, vectors, numbers, numbers, numbers, table, table > 0)
+
+    @classmethod
+    def together(cls, parts: list["Patches"]) -> "Patches":
+        """One table of several with the same number of views."""
+        return cls(*(torch.cat([getattr(part, f.name) for part in parts]) for f in fields(cls)))

@@ -1,0 +1,194 @@
+"""How well patches agree with the images (Furukawa & Ponce, PAMI 2010, with refraction as Chang & Chen, section 3.6).
+
+A patch is a plane along three rays of its reference image (see `window`), so that its window in the reference never
+moves: f there is sampled once. In another image v the window is g_v(s), with s the patch's three numbers. With unit
+vectors f^ and g^ (mean removed, norm 1),
+
+    c_v = 1 - ZNCC(f, g_v) = |f^ - g^_v|^2 / 2,        cost = sum_v rho(c_v),   rho(c) = c / (1 + c / tau),
+
+a sum of squares. With B = dg/ds (mean removed) and n = |g|, the derivative of f^ - g^ is -(B - g^ g^T B) / n: all that
+the normal equations need are inner products of the five vectors B1, B2, B3, g, f.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchrefrac.camera import RefractiveCamera, projection_parts
+from torchrefrac.dense.atlas import Atlas
+from torchrefrac.dense.rays import PixelRays
+from torchrefrac.dense.window import Window
+from torchrefrac.optim.batched import Quadratic
+
+WORST = 2.0  # of 1 - ZNCC: what an image costs that does not see the patch
+TINY = 1e-6  # squared norm of a window without any texture
+
+
+class Agreement(NamedTuple):
+    """zncc (N, V) and where it means something (N, V); gradient (N, V, 3), hessian (N, V, 3, 3) of c = 1 - ZNCC."""
+
+    zncc: Tensor
+    usable: Tensor
+    gradient: Tensor
+    hessian: Tensor
+
+
+class Comparison(NamedTuple):
+    """What N patches are compared with; nothing here changes while they are refined.
+
+    cameras (m); atlas: of their images, in the same order; rays (N, 3): those of the window's three corners; reference
+    (N, K): unit vectors f^; image, level (N, V): other images, and which of their copies; present (N, V): which of
+    these are to be looked at.
+    """
+
+    cameras: RefractiveCamera
+    atlas: Atlas
+    window: Window
+    rays: PixelRays
+    reference: Tensor
+    image: Tensor
+    level: Tensor
+    present: Tensor
+    tau: float
+
+    def subset(self, rows: Tensor) -> "Comparison":
+        """Some of the patches."""
+        return self._replace(
+            rays=self.rays[rows],
+            reference=self.reference[rows],
+            image=self.image[rows],
+            level=self.level[rows],
+            present=self.present[rows],
+        )
+
+    def corner_pixels(self, states: Tensor) -> tuple[Tensor, Tensor]:
+        """Where the corners are in each image (N, V, 3, 2), and how each moves with its own distance (N, V, 3, 2)."""
+        distances = states @ self.window.basis.to(states).T
+        pixels, along, _ = _project_corners(self.cameras, self.image, self.rays, distances)
+        shape = (*self.image.shape, *pixels.shape[1:])
+        return pixels.view(shape), along.view(shape)
+
+    def at_matching_levels(self, states: Tensor, level: int, min_scale: float) -> "Comparison":
+        """With the copies of the other images that show the patches as large as the reference's copy `level` does.
+
+        An image that shows one at less than `min_scale` of the reference's size is no longer present.
+        """
+        pixels, _ = self.corner_pixels(states)
+        scale = (_area(pixels).abs() / _area(self.window.corners).to(pixels)).sqrt()
+        fitting = level + torch.log2(scale.clamp(min=min_scale)).round().long()
+        return self._replace(
+            level=fitting.clamp(0, self.atlas.levels - 1), present=self.present & (scale >= min_scale)
+        )
+
+    def linearize(self, states: Tensor) -> Quadratic:
+        """Costs, gradients and Gauss-Newton Hessians at states (N, 3): distance and two slopes."""
+        agreement = self.agreement(states)
+        bad = 1.0 - agreement.zncc
+        share = 1.0 / (1.0 + bad / self.tau)
+        weight = torch.where(agreement.usable, share.square(), 0.0)
+        cost = torch.where(agreement.usable, bad * share, WORST / (1.0 + WORST / self.tau))
+        return Quadratic(
+            torch.where(self.present, cost, 0.0).sum(dim=1).to(states),
+            (weight[..., None] * agreement.gradient).sum(dim=1).to(states),
+            (weight[..., None, None] * agreement.hessian).sum(dim=1).to(states),
+        )
+
+    def agreement(self, states: Tensor) -> Agreement:
+        """ZNCC of the patches at states (N, 3) in each image and its derivatives, exact for the sampled images."""
+        shape = self.image.shape
+        image, level = self.image.flatten(), self.level.flatten()
+        basis, weights = self.window.basis.to(states), self.window.weights.to(self.reference)
+        pixels, slopes_of_pixels, valid = _project_corners(self.cameras, self.image, self.rays, states @ basis.T)
+        at = pixels.to(weights)
+        values, slopes = self.atlas.sample_with_slopes(image, level, weights @ at)
+        vectors = weights.new_empty(len(image), 5, weights.shape[0])
+        torch.mul(slopes_of_pixels.to(weights) @ slopes.mT, weights.T, out=vectors[:, :3])
+        vectors[:, 3] = values
+        vectors[:, 4] = self.reference.repeat_interleave(shape[1], dim=0)
+        vectors -= vectors.mean(dim=-1, keepdim=True)
+        gram = vectors @ vectors.mT
+        norm_sq = gram[:, 3, 3]
+        usable = valid & (norm_sq > TINY) & self.atlas.contains(image, level, self.window.outer.to(at) @ at)
+        per_norm = norm_sq.clamp(min=TINY).rsqrt()[:, None]
+        to_state = basis.to(weights).T
+        by_f = (gram[:, :3, 4] @ to_state.T) * per_norm
+        by_g = (gram[:, :3, 3] @ to_state.T) * per_norm.square()
+        squares = (to_state @ gram[:, :3, :3] @ to_state.T) * per_norm.square()[..., None]
+        zncc = gram[:, 3, 4] * per_norm[:, 0]
+        return Agreement(
+            zncc.view(shape),
+            usable.view(shape) & self.present,
+            (by_g * zncc[:, None] - by_f).view(*shape, 3),
+            (squares - by_g[:, :, None] * by_g[:, None, :]).view(*shape, 3, 3),
+        )
+
+
+def unit_windows(atlas: Atlas, image: Tensor, level: Tensor, pixels: Tensor, window: Window) -> tuple[Tensor, Tensor]:
+    """Unit vectors f^ (N, K) of the windows around pixels (N, 2), and their standard deviations (N) in grey levels.
+
+    Zero where a window does not lie inside its image, image (N), in the copy `level` (N).
+    """
+    at = pixels[:, None] + window.offsets.to(pixels)
+    values = atlas.sample(image, level, at.to(atlas.sheet))
+    values = values - values.mean(dim=-1, keepdim=True)
+    values = torch.where(atlas.contains(image, level, at)[:, None], values, 0.0)
+    norm_sq = values.square().sum(dim=-1)
+    return values * norm_sq.clamp(min=TINY).rsqrt()[:, None], (norm_sq / values.shape[1]).sqrt()
+
+
+def patch_costs(
+    cameras: RefractiveCamera,
+    images: Sequence[Tensor] | Atlas,
+    reference: Tensor,
+    pixels: Tensor,
+    states: Tensor,
+    others: Tensor,
+    window: Window | None = None,
+    tau: float = 0.3,
+) -> Tensor:
+    """The costs (N) of patches, as plain differentiable operations: a loss for learning and for joint adjustment.
+
+    cameras (m) with their images, grey (h, w); reference (N) and others (N, V): indices of images; pixels (N, 2): of
+    the patches' centres in their reference images; states (N, 3): distance along the ray from the water surface, in the
+    length unit of the cameras, and how much it grows towards +x and +y over `window.radius` pixels. Differentiable in
+    all of the cameras (poses, lens, interface), the images, the pixels and the states. An image that does not see a
+    patch as a whole costs a constant.
+    """
+    window = Window() if window is None else window
+    atlas = images if isinstance(images, Atlas) else Atlas.build(images, levels=1)
+    count, views = others.shape
+    corners = pixels[:, None] + window.corners.to(pixels)
+    rays = PixelRays.cast(cameras[reference][:, None], corners)
+    points = rays.at(states @ window.basis.to(states).T)
+    seen, valid = cameras[others][..., None].project(points[:, None])
+    flat, at = others.flatten(), window.weights.to(seen) @ seen.flatten(0, 1)
+    level = torch.zeros_like(flat)
+    f, _ = unit_windows(atlas, reference, torch.zeros_like(reference), pixels, window)
+    g = atlas.sample(flat, level, at).view(count, views, -1)
+    g = torch.nn.functional.normalize(g - g.mean(dim=-1, keepdim=True), dim=-1)
+    usable = valid.all(dim=-1) & atlas.contains(flat, level, at).view(count, views)
+    bad = torch.where(usable, 1.0 - (f[:, None] * g).sum(dim=-1), WORST)
+    return (bad / (1.0 + bad / tau)).sum(dim=-1)
+
+
+def _area(corners: Tensor) -> Tensor:
+    """Twice the signed area of triangles (*B, 3, 2)."""
+    a, b = corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :]
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _project_corners(
+    cameras: RefractiveCamera, image: Tensor, rays: PixelRays, distances: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Pixels (N V, 3, 2) of the corners at distances (N, 3) in images (N, V), their derivatives in these distances
+    (N V, 3, 2), and validity (N V)."""
+    points, direction = rays.at(distances)[:, None], rays.direction_at(distances)[:, None]
+    seen = cameras[image][..., None]
+    (u, v), valid, by = projection_parts(
+        seen.intrinsics, seen.cam_from_world_rotation, seen.center_in_world, points, seen.interface, ("point",)
+    )
+    dx, dy, dz = direction.unbind(dim=-1)
+    along = torch.stack([row[0] * dx + row[1] * dy + row[2] * dz for row in by["point"]], dim=-1)
+    return torch.stack((u, v), dim=-1).flatten(0, 1), along.flatten(0, 1), valid.all(dim=-1).flatten()

@@ -1,0 +1,54 @@
+"""What a pixel looks along: a ray that is bent once, at the water, and may end before or after it."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchrefrac.camera import RefractiveCamera
+
+
+class PixelRays(NamedTuple):
+    """Rays (*B) parametrised by one signed distance: 0 at the water, positive beyond it, negative on the camera's side.
+
+    origin (*B, 3): where the ray enters the water; before, after (*B, 3): unit directions on either side.
+    """
+
+    origin: Tensor
+    before: Tensor
+    after: Tensor
+
+    @classmethod
+    def cast(cls, camera: RefractiveCamera, pixels: Tensor) -> "PixelRays":
+        """Those of pixels (*B, 2). A ray that never meets the water is straight and starts at the centre."""
+        origin, after, _ = camera.cast_rays(pixels)
+        return cls(origin, camera.view_directions(pixels), after)
+
+    def at(self, distance: Tensor) -> Tensor:
+        """Points (*B, 3) at distances (*B)."""
+        direction = torch.where((distance < 0)[..., None], self.before, self.after)
+        return self.origin + distance[..., None] * direction
+
+    def direction_at(self, distance: Tensor) -> Tensor:
+        """Derivatives (*B, 3) of `at`."""
+        return torch.where((distance < 0)[..., None], self.before, self.after)
+
+    def meet(self, point: Tensor, normal: Tensor) -> Tensor:
+        """Distances (*B) at which the rays meet the plane through `point` (*B, 3) with `normal` (*B, 3).
+
+        A ray that meets it on the camera's side is met there. Infinite or far where a ray runs along the plane.
+        """
+        height = ((point - self.origin) * normal).sum(dim=-1)
+        beyond = height / (self.after * normal).sum(dim=-1)
+        here = height / (self.before * normal).sum(dim=-1)
+        return torch.where(here < 0, here, beyond)
+
+    def distance_of(self, points: Tensor) -> Tensor:
+        """Distances (*B) of the points of the rays that are nearest to `points` (*B, 3)."""
+        offset = points - self.origin
+        beyond = (offset * self.after).sum(dim=-1)
+        here = (offset * self.before).sum(dim=-1)
+        return torch.where((beyond < 0) | (here < 0), here.clamp(max=0.0), beyond)
+
+    def __getitem__(self, index: Tensor | tuple[Tensor | slice | None, ...]) -> "PixelRays":  # type: ignore[override]
+        return PixelRays(self.origin[index], self.before[index], self.after[index])

@@ -1,0 +1,54 @@
+"""One reference image, or a tile of it, with the images that it is compared with."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchrefrac.camera import RefractiveCamera
+from torchrefrac.dense.atlas import Atlas
+
+
+@dataclass(frozen=True)
+class Scope:
+    """1 + n images; the first is the reference, of which the cells in `tile` are worked on.
+
+    ids (1 + n): which images of the reconstruction these are; cameras (1 + n); atlas: of the same images, or of the
+    parts that show what the tile can see; allowed (1 + n, height, width): pixels that no mask excludes, None: all; near,
+    far: distances along the reference's rays (see `PixelRays`) between which the surface lies; tile: left, top, right,
+    bottom in pixels.
+    """
+
+    ids: Tensor
+    cameras: RefractiveCamera
+    atlas: Atlas
+    allowed: Tensor | None
+    near: float
+    far: float
+    tile: tuple[int, int, int, int]
+
+    @property
+    def others(self) -> int:
+        return len(self.ids) - 1
+
+    def is_allowed(self, image: Tensor, pixels: Tensor) -> Tensor:
+        """Whether pixels (*B, 2) of local images (*B) are inside and not masked (*B)."""
+        intrinsics = self.cameras.intrinsics
+        inside = intrinsics.contains(pixels)
+        if self.allowed is None:
+            return inside
+        column = pixels[..., 0].long().clamp(0, intrinsics.width - 1)
+        row = pixels[..., 1].long().clamp(0, intrinsics.height - 1)
+        return inside & self.allowed[image, row, column]
+
+    def centers(self, cell: int) -> Tensor:
+        """Centres (rows, columns, 2) of the tile's cells; those cut off by the image's border are left out.
+
+        Cell row i, column j of the image has its centre in the middle of a pixel, or between pixels where `cell` is
+        even.
+        """
+        left, top, right, bottom = self.tile
+        columns = torch.arange(left // cell, right // cell, dtype=torch.float64)
+        rows = torch.arange(top // cell, bottom // cell, dtype=torch.float64)
+        y, x = torch.meshgrid((rows + 0.5) * cell, (columns + 0.5) * cell, indexing="ij")
+        return torch.stack((x, y), dim=-1)

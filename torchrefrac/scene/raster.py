@@ -1,0 +1,237 @@
+"""A digital surface model: the upper surface of a dense cloud on a grid of square cells, north up."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrefrac.numerics.segments import segment_sum
+from torchrefrac.scene.dense import DenseCloud
+
+MOST_CELLS = 50_000_000
+SAMPLE, NEIGHBOURS, CELLS_A_SPACING = 20_000, 8, 1.5
+TAIL, STRAY = 0.01, 2.0  # stray: beyond the range of the middle 98 %, by more than twice that range
+SIGMAS, PART, ROUNDS = 3.0, 4, 4  # a surface is this thick, has at least 1 / PART of the support of the best one
+SHARPEST = 0.1  # no point counts as more exact than this part of the median sigma
+HEIGHT_BITS = 34  # of a key, whose other bits are the cell
+OPPOSITE = ((0, 1), (1, 0), (1, 1), (1, -1))  # row and column of one of each two opposite neighbours of a cell
+
+
+@dataclass(frozen=True)
+class Raster:
+    """The surface on rows x columns square cells; row 0 is the northernmost (the largest y), column 0 the westernmost.
+
+    height (rows, columns) float64: world z of the surface, above the water surface, in length_unit; sigma (rows,
+    columns) float64: its standard deviation; count (rows, columns) int64: how many points it is the mean of; colors
+    (rows, columns, 3) uint8; valid (rows, columns): where there is a surface; filled (rows, columns): where it is not
+    measured but interpolated between neighbours, a part of valid. Everything is zero where not valid. x_west, y_north:
+    the outer corner of the first cell, in the world frame; cell_size: side of a cell, in length_unit.
+    """
+
+    height: Tensor
+    sigma: Tensor
+    count: Tensor
+    colors: Tensor
+    valid: Tensor
+    filled: Tensor
+    x_west: float
+    y_north: float
+    cell_size: float
+    length_unit: str
+
+    @property
+    def depth(self) -> Tensor:
+        """(rows, columns): depth of the surface below the water surface, -height; negative on land."""
+        return 0.0 - self.height
+
+    @property
+    def x(self) -> Tensor:
+        """(columns): world x of the centres of the cells, ascending."""
+        columns = torch.arange(self.height.shape[1], dtype=self.height.dtype, device=self.height.device)
+        return self.x_west + (columns + 0.5) * self.cell_size
+
+    @property
+    def y(self) -> Tensor:
+        """(rows): world y of the centres of the cells, descending."""
+        rows = torch.arange(self.height.shape[0], dtype=self.height.dtype, device=self.height.device)
+        return self.y_north - (rows + 0.5) * self.cell_size
+
+
+def rasterize(cloud: DenseCloud, cell_size: float | None = None) -> Raster:
+    """The upper surface of a dense cloud, one height a cell.
+
+    A cell's height is the mean of the points of the highest surface in it that is well supported, weighted by
+    1 / sigma^2. A surface is all that lies within 3 sigma, or the size of a cell where that is more, of its height;
+    well supported is one with at least two points and a quarter of those of the best supported one of the cell (where
+    no two points of a cell lie together, the points of the eight cells around it count too). The cell's sigma is the
+    larger of what the sigmas and what the scatter of these points say. A hole with at least five of eight neighbours is
+    the mean of opposite neighbours, exact where the surface is plane, and marked `filled`; its sigma holds half their
+    difference. Edges of cells lie at multiples of cell_size. Left out are points and sigmas that are not finite, and
+    points far outside of where nearly all lie: beyond the range of the middle 98 %, by more than twice that range.
+
+    cell_size: side of a cell, in length_unit; where it is not given, about 1.5 times the spacing of the points
+    (`point_spacing`), in two digits.
+
+    Raises ValueError where cell_size is not above 0, or so small that the raster would have over 50 million cells.
+    """
+    if cell_size is not None and not 0.0 < cell_size < math.inf:
+        raise ValueError(f"cell_size is {cell_size:g}, but must be a length above 0")
+    cloud = cloud[_near(cloud.points) & cloud.sigma.isfinite()]
+    points = cloud.points
+    if cell_size is None:
+        spacing = point_spacing(points)
+        cell_size = float(f"{CELLS_A_SPACING * spacing:.2g}") if spacing > 0.0 else 1.0
+    if not len(cloud):
+        return _raster(cloud, points.new_zeros(0, dtype=torch.long), (0, 0), (0.0, 0.0), cell_size)
+    low, high = points[:, :2].amin(dim=0).tolist(), points[:, :2].amax(dim=0).tolist()
+    x_west, y_north = math.floor(low[0] / cell_size) * cell_size, math.ceil(high[1] / cell_size) * cell_size
+    rows, columns = math.floor((y_north - low[1]) / cell_size) + 1, math.floor((high[0] - x_west) / cell_size) + 1
+    if rows * columns > MOST_CELLS:
+        raise ValueError(
+            f"cell_size is {cell_size:g}, but makes {rows} x {columns} cells of a cloud {high[0] - low[0]:g} x "
+            f"{high[1] - low[1]:g} {cloud.length_unit} wide; give a larger one, for at most {MOST_CELLS} cells"
+        )
+    row = ((y_north - points[:, 1]) / cell_size).floor().long().clamp(0, rows - 1)
+    column = ((points[:, 0] - x_west) / cell_size).floor().long().clamp(0, columns - 1)
+    framed = (row + 1) * (columns + 2) + column + 1
+    return _raster(cloud, framed, (rows, columns), (x_west, y_north), cell_size)
+
+
+def point_spacing(points: Tensor) -> float:
+    """The typical horizontal spacing of points (n, 3): the side of the square that each has to itself.
+
+    From the median distance d to the eighth nearest neighbour, of at most 20,000 of the points: the circle of radius d
+    holds eight, whether they lie on a grid or by chance. Zero where there are no two points apart.
+    """
+    from scipy.spatial import KDTree  # noqa: PLC0415 - slow to import
+
+    neighbours = min(NEIGHBOURS, len(points) - 1)
+    if neighbours < 1:
+        return 0.0
+    plane = points[:, :2].detach().cpu().numpy()
+    tree = KDTree(plane, compact_nodes=False, balanced_tree=False)
+    distance, _ = tree.query(plane[:: math.ceil(len(plane) / SAMPLE)], k=neighbours + 1)
+    return float(np.median(distance[:, -1])) * math.sqrt(math.pi / neighbours)
+
+
+def _near(points: Tensor) -> Tensor:
+    """Mask (n): which points are finite and not far outside of where nearly all lie."""
+    near = points.isfinite().all(dim=-1)
+    if not near.any():
+        return near
+    for values in (points[:, 0], points[:, 1]):
+        kept = values[near]
+        tail = math.floor(TAIL * len(kept))
+        low, high = kept.kthvalue(tail + 1).values, kept.kthvalue(len(kept) - tail).values
+        margin = STRAY * (high - low)
+        near = near & (values >= low - margin) & (values <= high + margin)
+    return near
+
+
+def _raster(
+    cloud: DenseCloud, cell: Tensor, shape: tuple[int, int], corner: tuple[float, float], cell_size: float
+) -> Raster:
+    """The raster of points that lie in these cells (n), counted in a grid with a frame of one empty cell around it."""
+    framed = (shape[0] + 2, shape[1] + 2)
+    size = framed[0] * framed[1]
+    vectors, counts = cloud.points.new_zeros(5, size), cell.new_zeros(size)
+    if len(cloud):
+        occupied, values, members = _upper_surface(cloud, cell, framed[1], cell_size)
+        vectors[:, occupied] = values
+        counts[occupied] = members
+    filled = _fill(vectors, counts > 0, framed)
+
+    def inner(grid: Tensor) -> Tensor:
+        return grid.unflatten(0, framed)[1:-1, 1:-1].contiguous()
+
+    return Raster(
+        height=inner(vectors[0]),
+        sigma=inner(vectors[1]),
+        count=inner(counts),
+        colors=torch.stack([inner(plane.round().to(torch.uint8)) for plane in vectors[2:]], dim=-1),
+        valid=inner((counts > 0) | filled),
+        filled=inner(filled),
+        x_west=corner[0],
+        y_north=corner[1],
+        cell_size=cell_size,
+        length_unit=cloud.length_unit,
+    )
+
+
+def _upper_surface(cloud: DenseCloud, cell: Tensor, width: int, cell_size: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Of the m cells with points: their numbers (m), height, sigma and colour (5, m), points in the mean (m)."""
+    keys, order = _keys(cell, cloud.points[:, 2], cloud.points[:, 2]).sort()
+    z, sigma, colors, cell = cloud.points[order, 2], cloud.sigma[order], cloud.colors[order], cell[order]
+    occupied, segment, members = cell.unique_consecutive(return_inverse=True, return_counts=True)
+    thickness = (SIGMAS * sigma).clamp(min=cell_size)
+
+    def support(rows: Tensor, offset: int, reach: Tensor) -> Tensor:
+        """How many points of the cell at this offset lie within reach (r) of the height of each of these points (r)."""
+        low, high = (_keys(cell[rows] + offset, z[rows] + side * reach, z) for side in (-1, 1))
+        return torch.searchsorted(keys, high, right=True) - torch.searchsorted(keys, low)
+
+    every = torch.arange(len(z), device=z.device)
+    supported = support(every, 0, thickness)
+    lone = every[(_largest(supported, segment, len(occupied))[segment] == 1) & (members[segment] > 1)]
+    around = [side * (row * width + column) for row, column in OPPOSITE for side in (-1, 1)]
+    for offset in around:
+        supported[lone] += support(lone, offset, 2.0 * thickness[lone])
+    best = _largest(supported, segment, len(occupied))[segment]
+    well_supported = (supported >= best.clamp(max=2)) & (PART * supported >= best)
+    level = _largest(z.where(well_supported, -math.inf), segment, len(occupied))
+
+    positive = sigma[sigma > 0.0]
+    floor = SHARPEST * float(positive.median()) if len(positive) else 1.0
+    weight = sigma.clamp(min=floor) ** -2
+    chosen = torch.zeros_like(weight, dtype=torch.bool)
+    for _ in range(ROUNDS):  # from the top of the surface to its middle
+        near = (z - level[segment]).abs() <= thickness
+        is_empty = segment_sum(near.long(), segment, len(occupied)) == 0
+        chosen = torch.where(is_empty[segment], chosen, near)
+        total = segment_sum(weight * chosen, segment, len(occupied))
+        level = segment_sum(weight * chosen * z, segment, len(occupied)) / total
+    share = weight * chosen / total[segment]
+    count = segment_sum(chosen.long(), segment, len(occupied))
+    formal = segment_sum((share * sigma) ** 2, segment, len(occupied))
+    scatter = segment_sum(share * (z - level[segment]) ** 2, segment, len(occupied)) / (count - 1).clamp(min=1)
+    color = segment_sum(share[:, None] * colors, segment, len(occupied))
+    return occupied, torch.stack((level, torch.maximum(formal, scatter).sqrt(), *color.T)), count
+
+
+def _keys(cell: Tensor, z: Tensor, every_z: Tensor) -> Tensor:
+    """Whole numbers (n) that ascend with the cell, and within a cell with the height."""
+    low, high = every_z.min(), every_z.max()
+    steps = torch.where(high > low, (2**HEIGHT_BITS - 1) / (high - low), 0.0)
+    return (cell << HEIGHT_BITS) + ((z.clamp(low, high) - low) * steps).long()
+
+
+def _largest(values: Tensor, segment: Tensor, num_segments: int) -> Tensor:
+    """(num_segments): the largest of the values (n) of each segment, none of which is empty."""
+    return values.new_zeros(num_segments).scatter_reduce_(0, segment, values, "amax", include_self=False)
+
+
+def _fill(vectors: Tensor, valid: Tensor, framed: tuple[int, int]) -> Tensor:
+    """Interpolate small holes of height, sigma and colour (5, size) where they lie; which cells those are (size)."""
+    grid = valid.unflatten(0, framed)
+    neighbours = torch.zeros_like(grid, dtype=torch.uint8)
+    for row, column in OPPOSITE:
+        for side in (-1, 1):
+            neighbours += torch.roll(grid, (side * row, side * column), (0, 1))
+    small = ~grid & (neighbours >= 5)
+    small[0], small[-1], small[:, 0], small[:, -1] = False, False, False, False
+    hole = small.flatten().nonzero()[:, 0]
+    total, pairs = vectors.new_zeros(5, len(hole)), vectors.new_zeros(len(hole))
+    for row, column in OPPOSITE:  # five of eight neighbours hold one opposite pair at least
+        one, other = hole + row * framed[1] + column, hole - row * framed[1] - column
+        a, b = vectors[:, one], vectors[:, other]
+        both = (a + b) / 2.0
+        both[1] = (a[1] ** 2 + b[1] ** 2) / 2.0 + ((a[0] - b[0]) / 2.0) ** 2
+        is_pair = (valid[one] & valid[other]).to(vectors.dtype)
+        total += both * is_pair
+        pairs += is_pair
+    mean = total / pairs
+    mean[1] = mean[1].sqrt()
+    vectors[:, hole] = mean
+    return small.flatten()
