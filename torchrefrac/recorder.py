@@ -3,12 +3,14 @@
 A leaf of the package: any layer may import it, sinks (a terminal, TensorBoard) live in `torchrefrac.report`.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol, TypeVar
 
 from torch import Tensor
 
 T = TypeVar("T")
+Advance = Callable[[int, str], None]
 
 
 class Recorder(Protocol):
@@ -30,6 +32,10 @@ class Recorder(Protocol):
         """Pass `items` through, showing how far they are."""
         ...
 
+    def meter(self, total: int, description: str, unit: str) -> AbstractContextManager[Advance]:
+        """For work that comes in lumps: `advance(how many, what else to say)`."""
+        ...
+
 
 class SilentRecorder:
     """Records nothing."""
@@ -42,3 +48,7 @@ class SilentRecorder:
 
     def track(self, items: Iterable[T], total: int, description: str, unit: str) -> Iterator[T]:
         yield from items
+
+    @contextmanager
+    def meter(self, total: int, description: str, unit: str) -> Iterator[Advance]:
+        yield lambda count, text: None

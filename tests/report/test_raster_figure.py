@@ -35,7 +35,9 @@ def seabed():
     return raster_of(1.0 - 6.0 * column / 79 + 0.2 * torch.sin(row / 5.0), valid)
 
 
-@pytest.mark.parametrize("shape", [(0, 0), (1, 1), (1, 30), (30, 1), (2, 2), (40, 25), (200, 3000)])
+@pytest.mark.parametrize(
+    "shape", [(0, 0), (1, 1), (1, 30), (30, 1), (2, 2), (40, 25), (200, 3000), (1, 5000), (5000, 1)]
+)
 @pytest.mark.parametrize("is_flat", [True, False])
 def test_a_raster_of_any_shape_is_drawn(tmp_path, draw, shape, is_flat):
     height = -torch.ones(shape) if is_flat else draw.uniform(-3.0, 1.0, *shape)
@@ -43,7 +45,7 @@ def test_a_raster_of_any_shape_is_drawn(tmp_path, draw, shape, is_flat):
     draw_raster(raster_of(height), tmp_path / "dsm.png")
 
     image = cv2.imread(str(tmp_path / "dsm.png"))
-    assert min(image.shape[:2]) > 300
+    assert min(image.shape[:2]) > 200
     assert image.std() > 5
     assert [path.name for path in tmp_path.iterdir()] == ["dsm.png"]
 

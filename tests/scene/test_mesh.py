@@ -124,7 +124,7 @@ def test_a_raster_without_quads_has_no_triangles(tmp_path, shape):
 
 @pytest.mark.parametrize("angle", [0.0, -10.0, 90.5, float("nan")])
 def test_a_slope_that_is_no_slope_is_refused(angle):
-    with pytest.raises(ValueError, match="max_slope_deg is .*, but must lie above 0 and be at most 90"):
+    with pytest.raises(ValueError, match=r"max_slope_deg is .*, but must lie above 0 and be at most 90"):
         height_field_mesh(raster_of(plane(2, 2)), max_slope_deg=angle)
 
 

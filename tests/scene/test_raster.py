@@ -2,7 +2,7 @@
 
 import math
 import sys
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -257,7 +257,7 @@ def test_a_raster_of_absurdly_many_cells_is_refused_with_the_remedy():
 
 @pytest.mark.parametrize("cell_size", [0.0, -1.0, math.inf, math.nan])
 def test_a_cell_size_that_is_no_length_is_refused(cell_size):
-    with pytest.raises(ValueError, match="cell_size is .*, but must be a length above 0"):
+    with pytest.raises(ValueError, match=r"cell_size is .*, but must be a length above 0"):
         rasterize(cloud_of(on_a_grid(slope)), cell_size)
 
 

@@ -29,6 +29,7 @@ class Cells:
         count = len(self.pixels)
         self.origin = torch.tensor(scope.tile[:2]) // cell
         self.cell = cell
+        self._told = 0
         self.filled = torch.zeros(count, dtype=torch.bool)
         self.score = torch.full((count,), -1.0, dtype=torch.float64)
         self.points = torch.zeros(count, 3, dtype=torch.float64)
@@ -51,6 +52,11 @@ class Cells:
         cells = cells[better]
         self.points[cells], self.normals[cells] = points[better], normals[better]
         self.score[cells], self.filled[cells] = score[better], True
+
+    def newly_filled(self) -> int:
+        """How many have been filled since this was last asked."""
+        before, self._told = self._told, int(self.filled.sum())
+        return self._told - before
 
     def frontier(self) -> tuple[Tensor, Tensor]:
         """Empty cells (k) beside filled ones, and of these the one (k) whose plane is to be tried: the best.

@@ -1,6 +1,6 @@
 """Patches: small oriented pieces of surface, each found in a pixel of its reference image."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
@@ -31,6 +31,18 @@ class Patches:
     def __getitem__(self, rows: Tensor) -> "Patches":
         """Some of them, by a mask (N) or indices."""
         return Patches(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    def moved_to(self, points: Tensor) -> "Patches":
+        """The same at other points (N, 3)."""
+        return replace(self, points=points)
+
+    def padded(self, views: int) -> "Patches":
+        """The same with V = views, the images that were not compared marked as not visible."""
+        more = views - self.others.shape[1]
+        if more <= 0:
+            return self
+        pad = torch.nn.functional.pad
+        return replace(self, others=pad(self.others, (0, more)), visible=pad(self.visible, (0, more), value=False))
 
     @property
     def views(self) -> Tensor:

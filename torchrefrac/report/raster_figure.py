@@ -12,7 +12,7 @@ from torchrefrac.scene.atomic import replacing
 from torchrefrac.scene.raster import Raster
 
 EMPTY = "#e3e1dc"
-LONG_SIDE_INCHES, MOST_PIXELS = 7.0, 1600
+LONG_SIDE_INCHES, BAR_INCHES, MOST_PIXELS, WIDE = 7.0, 0.18, 1600, 3.0
 TAILS = (0.005, 0.995)
 SHADE = 0.35  # how much darker than a lit slope one in the shade is
 SUN_AZIMUTH_DEG, SUN_ALTITUDE_DEG = 315.0, 45.0
@@ -28,7 +28,6 @@ def draw_raster(raster: Raster, path: Path) -> None:
     from matplotlib.cm import ScalarMappable  # noqa: PLC0415
     from matplotlib.colors import Normalize, to_rgb  # noqa: PLC0415
     from matplotlib.figure import Figure  # noqa: PLC0415
-    from mpl_toolkits.axes_grid1 import make_axes_locatable  # noqa: PLC0415
 
     rows, columns = raster.height.shape
     step = max(1, math.ceil(max(rows, columns) / MOST_PIXELS))
@@ -38,11 +37,10 @@ def draw_raster(raster: Raster, path: Path) -> None:
 
     size = raster.cell_size
     width, height = max(columns, 1) * size, max(rows, 1) * size
-    inches = LONG_SIDE_INCHES / max(width, height)
-    figure = Figure(figsize=(max(width * inches, 2.5) + 1.9, max(height * inches, 2.0) + 1.0), dpi=150)
-    figure.set_layout_engine("constrained")
+    across, up = (max(side * LONG_SIDE_INCHES / max(width, height), BAR_INCHES) for side in (width, height))
+    figure = Figure(figsize=(across, up), dpi=150)  # the panel; what stands around it is added when it is saved
     FigureCanvasAgg(figure)
-    panel = figure.subplots()
+    panel = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     if depth.numel():
         lit = torch.from_numpy(colors.to_rgba(depth.numpy())[..., :3]) * _light(depth, valid, step * size)[..., None]
         picture = lit.where(valid[..., None], torch.tensor(to_rgb(EMPTY), dtype=torch.float64))
@@ -59,13 +57,18 @@ def draw_raster(raster: Raster, path: Path) -> None:
     panel.set_ylabel(f"y ({unit})", fontsize=10)
     panel.tick_params(labelsize=8, color=INK)
     share = float(raster.valid.double().mean()) if raster.valid.numel() else 0.0
-    panel.set_title(f"Depth below the water surface: {size:g} {unit} cells, {share:.0%} with a surface", fontsize=10)
-    bar = figure.colorbar(colors, cax=make_axes_locatable(panel).append_axes("right", 0.18, pad=0.12), extend=extend)
-    bar.ax.invert_yaxis()
+    panel.set_title(f"Depth below the water surface\n{size:g} {unit} cells, {share:.0%} with a surface", fontsize=10)
+    if width > WIDE * height:
+        beside = figure.add_axes((0.0, -0.85 / up, 1.0, BAR_INCHES / up))
+        bar = figure.colorbar(colors, cax=beside, extend=extend, orientation="horizontal")
+    else:
+        beside = figure.add_axes((1.0 + 0.12 / across, 0.0, BAR_INCHES / across, 1.0))
+        bar = figure.colorbar(colors, cax=beside, extend=extend)
+        bar.ax.invert_yaxis()
     bar.set_label(f"depth ({unit})", fontsize=10)
     bar.ax.tick_params(labelsize=8)
     with replacing(path) as temporary:
-        figure.savefig(temporary)
+        figure.savefig(temporary, bbox_inches="tight", pad_inches=0.1)
 
 
 def _range(depth: Tensor) -> tuple[float, float, str]:
@@ -76,7 +79,7 @@ def _range(depth: Tensor) -> tuple[float, float, str]:
     low, high = (float(ordered[round(part * (len(depth) - 1))]) for part in TAILS)
     beyond = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
     extend = beyond[bool(ordered[0] < low), bool(ordered[-1] > high)]
-    margin = 0.5e-3 * max(abs(low), 1e-3) if high == low else 0.0
+    margin = 0.05 * max(abs(low), 1e-3) if high == low else 0.0
     return low - margin, high + margin, extend
 
 

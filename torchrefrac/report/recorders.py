@@ -1,11 +1,12 @@
 """Several recorders as one."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import TypeVar
 
 from torch import Tensor
 
-from torchrefrac.recorder import Recorder
+from torchrefrac.recorder import Advance, Recorder
 
 T = TypeVar("T")
 
@@ -32,3 +33,14 @@ class Recorders:
         for recorder in self._recorders:
             items = recorder.track(items, total, description, unit)
         yield from items
+
+    @contextmanager
+    def meter(self, total: int, description: str, unit: str) -> Iterator[Advance]:
+        with ExitStack() as stack:
+            every = [stack.enter_context(r.meter(total, description, unit)) for r in self._recorders]
+
+            def advance(count: int, text: str) -> None:
+                for each in every:
+                    each(count, text)
+
+            yield advance

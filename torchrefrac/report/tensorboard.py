@@ -1,10 +1,13 @@
 """Curves and clouds for TensorBoard."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
 from torch import Tensor
+
+from torchrefrac.recorder import Advance
 
 T = TypeVar("T")
 
@@ -34,3 +37,7 @@ class TensorBoardRecorder:
 
     def track(self, items: Iterable[T], total: int, description: str, unit: str) -> Iterator[T]:
         yield from items
+
+    @contextmanager
+    def meter(self, total: int, description: str, unit: str) -> Iterator[Advance]:
+        yield lambda count, text: None

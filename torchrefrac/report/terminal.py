@@ -3,10 +3,13 @@
 import sys
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import TextIO, TypeVar
 
 from torch import Tensor
 from tqdm import tqdm
+
+from torchrefrac.recorder import Advance
 
 T = TypeVar("T")
 WIDTH = 100
@@ -34,6 +37,32 @@ class TerminalRecorder:
             file=self._stream, bar_format="{desc}{bar} {n_fmt}/{total_fmt}{unit}  {rate_fmt}  {elapsed}<{remaining}",
         )  # fmt: skip
         yield from bar
+
+    @contextmanager
+    def meter(self, total: int, description: str, unit: str) -> Iterator[Advance]:
+        if self._stream.isatty():
+            bar = tqdm(
+                total=total, desc=f"{description:<12}", ncols=WIDTH, file=self._stream,
+                bar_format="{desc}{bar} {percentage:3.0f} %{postfix}  {elapsed}<{remaining}",
+            )  # fmt: skip
+
+            def show(count: int, text: str) -> None:
+                if text:
+                    bar.set_postfix_str(text, refresh=False)
+                bar.update(count)
+
+            with bar:
+                yield show
+            return
+        start, said = time.perf_counter(), ""
+
+        def remember(count: int, text: str) -> None:
+            nonlocal said
+            said = text or said
+
+        yield remember
+        line = f"{description:<12} {total} {_plural(unit, total)} in {time.perf_counter() - start:.1f} s"
+        print(f"{line}, {said}" if said else line, file=self._stream, flush=True)
 
     def _plain(self, items: Iterable[T], total: int, description: str, unit: str) -> Iterator[T]:
         start, count = time.perf_counter(), 0

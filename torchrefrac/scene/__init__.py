@@ -4,6 +4,7 @@ from torchrefrac.scene.alignment import Alignment, AlignmentError
 from torchrefrac.scene.capture import Capture, CaptureError
 from torchrefrac.scene.capture_file import load_capture
 from torchrefrac.scene.colmap_model import read_colmap, write_colmap
+from torchrefrac.scene.dense import DenseCloud, DepthMap
 from torchrefrac.scene.reconstruction import Assessment, Reconstruction
 from torchrefrac.scene.reconstruction_file import load_cameras, load_points, write_cameras, write_points
 from torchrefrac.scene.survey import Survey, SurveyError
@@ -19,6 +20,8 @@ __all__ = [
     "Assessment",
     "Capture",
     "CaptureError",
+    "DenseCloud",
+    "DepthMap",
     "Reconstruction",
     "Survey",
     "SurveyError",

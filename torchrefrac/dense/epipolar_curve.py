@@ -1,0 +1,240 @@
+"""Which points of another image a reference pixel may match: those along the image of its bent ray.
+
+Through water that image is no line but a curve, with a kink where the ray enters the water. The epipolar constraint is
+relaxed to a band along this curve (section 3.6 of the paper; PMVS has a band along a line).
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrefrac.camera import RefractiveCamera, projection_parts
+from torchrefrac.checks import require, require_broadcasting
+from torchrefrac.dense.interest_points import InterestPoints, strongest
+from torchrefrac.dense.rays import PixelRays
+
+CURVES = 1024  # worked on at once
+COARSE = 33  # samples of a curve whose course is not known yet
+MOST_SAMPLES = 512
+MIN_CHORD = 1e-6  # pixels
+TINY = 1e-30
+STEPS = 4  # Gauss-Newton; within the band the curve bends so little that these leave nothing
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """k pairs that may match, ordered by `point`, then `other`.
+
+    point (k): index of the reference point; other (k): index of the other image's point; distance (k): along the
+    reference ray (see `PixelRays`), where its image passes nearest to the other point; offset (k): how near, in pixels.
+    """
+
+    point: Tensor
+    other: Tensor
+    distance: Tensor
+    offset: Tensor
+
+    def __len__(self) -> int:
+        return len(self.point)
+
+
+def project_curve(
+    rays: PixelRays, camera: RefractiveCamera, near: Tensor, far: Tensor, samples: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The images of rays (n) in another camera: pixels (n, samples, 2), distances (n, samples), validity (n, samples).
+
+    At `samples` evenly spaced distances from near (n) to far (n), both included. Not valid is what the camera cannot
+    see; pixels may lie outside of its image.
+
+    Raises ValueError for a batch of cameras, fewer than 2 samples, and a near that is above far.
+    """
+    near, far = _checked_range(rays, camera, near, far)
+    require(samples, "samples", at_least=2)
+    part = torch.linspace(0.0, 1.0, samples, dtype=near.dtype, device=near.device)
+    curve = _curve(rays, camera, torch.lerp(near[:, None], far[:, None], part))
+    return curve.pixels, curve.distance, curve.valid
+
+
+def find_candidates(
+    rays: PixelRays,
+    kind: Tensor,
+    camera: RefractiveCamera,
+    others: InterestPoints,
+    near: Tensor,
+    far: Tensor,
+    band: float = 2.0,
+    spacing: float = 4.0,
+) -> Candidates:
+    """All points of another image that lie within `band` pixels of the image of a reference ray, and are of its kind.
+
+    rays, kind (n): of the reference points; camera: of the other image; near, far (n): distances along the rays between
+    which to look. The curves are followed by chords of about `spacing` pixels, longer ones only where 512 do not
+    suffice; the nearest place on the curve is then found exactly, on either side of the water.
+
+    Raises ValueError for a batch of cameras, a near that is above far, and a band or spacing that is not above 0.
+    """
+    near, far = _checked_range(rays, camera, near, far)
+    require(band, "band", above=0.0)
+    require(spacing, "spacing", above=0.0)
+    parts = [Candidates(*(kind.new_zeros(0, dtype=torch.long),) * 2, *(near.new_zeros(0),) * 2)]
+    for first in range(0, len(near) if len(others) else 0, CURVES):
+        rows = torch.arange(first, min(first + CURVES, len(near)), device=near.device)
+        curve = _follow(rays[rows], camera, near[rows], far[rows], band, spacing)
+        found = _nearest(rays[rows], kind[rows], camera, curve, others, band)
+        parts.append(Candidates(found.point + first, found.other, found.distance, found.offset))
+    return Candidates(*(torch.cat([getattr(p, f) for p in parts]) for f in Candidates.__dataclass_fields__))
+
+
+class _Curve(NamedTuple):
+    """pixels (n, s, 2) at distances (n, s), in ascending order, and which of them are valid (n, s)."""
+
+    pixels: Tensor
+    distance: Tensor
+    valid: Tensor
+
+
+def _curve(rays: PixelRays, camera: RefractiveCamera, distance: Tensor) -> _Curve:
+    pixels, valid = camera.project(rays[:, None].at(distance))
+    return _Curve(pixels, distance, valid)
+
+
+def _follow(
+    rays: PixelRays, camera: RefractiveCamera, near: Tensor, far: Tensor, band: float, spacing: float
+) -> _Curve:
+    """Samples that lie about `spacing` pixels apart within the image, one of them where the ray enters the water."""
+    curve = _Curve(*project_curve(rays, camera, near, far, COARSE))
+    surface = torch.zeros_like(near).clamp(near, far)[:, None]
+    for apart in (4.0 * spacing, spacing):
+        length = _length(curve, camera, band)
+        samples = min(int(length[:, -1].max() / apart) + 2, MOST_SAMPLES)
+        distance = torch.cat((_spread(curve.distance, length, samples), surface), dim=1)
+        curve = _curve(rays, camera, distance.sort(dim=1).values)
+    return curve
+
+
+def _length(curve: _Curve, camera: RefractiveCamera, band: float) -> Tensor:
+    """Pixels from the first sample to each (n, s) along the chords, as far as they lie in the image.
+
+    Strictly ascending. A chord with one valid end counts as the longest that there is.
+    """
+    chord = _within(curve.pixels, camera, band).diff(dim=1).norm(dim=-1)
+    both, either = curve.valid[:, 1:] & curve.valid[:, :-1], curve.valid[:, 1:] | curve.valid[:, :-1]
+    longest = float(camera.intrinsics.width + camera.intrinsics.height)
+    chord = torch.where(both, chord, torch.where(either, longest, 0.0)) + MIN_CHORD
+    return torch.nn.functional.pad(chord.cumsum(dim=1), (1, 0))
+
+
+def _spread(distance: Tensor, length: Tensor, samples: int) -> Tensor:
+    """Distances (n, samples) evenly spaced in length, which is known (n, s) at distances (n, s)."""
+    wanted = length[:, -1:] * torch.linspace(0.0, 1.0, samples, dtype=length.dtype, device=length.device)
+    index = torch.searchsorted(length, wanted, right=True).clamp(1, length.shape[1] - 1)
+    start, end = length.gather(1, index - 1), length.gather(1, index)
+    share = ((wanted - start) / (end - start)).clamp(0.0, 1.0)
+    return torch.lerp(distance.gather(1, index - 1), distance.gather(1, index), share)
+
+
+def _within(pixels: Tensor, camera: RefractiveCamera, band: float) -> Tensor:
+    """Pixels moved into the image and the band around it; chords keep there what they have of it."""
+    most = pixels.new_tensor((camera.intrinsics.width, camera.intrinsics.height)) + band
+    return pixels.clamp(torch.full_like(most, -band), most)
+
+
+def _nearest(
+    rays: PixelRays, kind: Tensor, camera: RefractiveCamera, curve: _Curve, others: InterestPoints, band: float
+) -> Candidates:
+    """One pair at most of each row and point: of the nearest places on the chords before and beyond the water."""
+    row, chord, other = _near_chords(kind, camera, curve, others, band)
+    at = others.pixels.to(curve.pixels)[other]
+    start, end = curve.pixels[row, chord], curve.pixels[row, chord + 1]
+    along = end - start
+    share = ((at - start) * along).sum(dim=-1) / along.square().sum(dim=-1).clamp(min=MIN_CHORD**2)
+    gap = (start + share.clamp(0.0, 1.0)[:, None] * along - at).norm(dim=-1)
+    before = curve.distance[row, chord + 1] <= 0.0
+    kept = strongest(2 * (row * len(others) + other) + before, -gap, 1)
+    row, chord, other = row[kept], chord[kept], other[kept]
+    distance, offset, valid = _refined(rays[row], camera, curve.distance, row, chord, at[kept])
+    good = (valid & (offset <= band)).nonzero()[:, 0]
+    good = good[strongest(row[good] * len(others) + other[good], -offset[good], 1)]
+    return Candidates(row[good], other[good], distance[good], offset[good])
+
+
+def _near_chords(
+    kind: Tensor, camera: RefractiveCamera, curve: _Curve, others: InterestPoints, band: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Rows (k), chords (k) and points (k) of the same kind that may come within the band of each other.
+
+    Around a chord's middle is searched as far as half of it and the band reach, and half a chord more, which the curve
+    may depart from it. Chords are taken together by length, so that few long ones do not make the search wide for all.
+    """
+    from scipy.spatial import KDTree  # noqa: PLC0415 - slow to import
+
+    inside = _within(curve.pixels, camera, band)
+    length = inside.diff(dim=1).norm(dim=-1)
+    row, chord = (curve.valid[:, 1:] & curve.valid[:, :-1]).nonzero().unbind(dim=-1)
+    reach = band + length[row, chord]
+    middle = (inside[row, chord] + inside[row, chord + 1]) / 2.0
+    apart = 4.0 * (
+        band + camera.intrinsics.width + camera.intrinsics.height
+    )  # between the kinds, as a third coordinate
+
+    def tree(pixels: Tensor, of_kind: Tensor) -> KDTree:
+        points = torch.cat((pixels, apart * of_kind.to(pixels)[:, None]), dim=-1)
+        return KDTree(points.cpu().numpy(), balanced_tree=False, compact_nodes=False)
+
+    points = tree(others.pixels.to(middle), others.kind)
+    octave = torch.log2(reach).ceil()
+    chords, found = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for level in octave.unique().tolist():
+        chosen = (octave == level).nonzero()[:, 0]
+        near = tree(middle[chosen], kind[row[chosen]]).sparse_distance_matrix(
+            points, float(reach[chosen].max()), output_type="ndarray"
+        )
+        chords.append(chosen.cpu().numpy()[near["i"]])
+        found.append(near["j"])
+    pick = torch.from_numpy(np.concatenate(chords)).to(row.device)
+    return row[pick], chord[pick], torch.from_numpy(np.concatenate(found)).to(row.device)
+
+
+def _refined(
+    rays: PixelRays, camera: RefractiveCamera, known: Tensor, row: Tensor, chord: Tensor, at: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Distances (k) along rays (k) whose images lie nearest to pixels (k, 2), how near (k), and validity (k).
+
+    By Gauss-Newton on the exact projection, from the middle of a chord (k) of a row (k) of the `known` distances (n, s),
+    as far as the chords beside it reach, but not across the water.
+    """
+    start, end = known[row, chord], known[row, chord + 1]
+    lower, upper = known[row, (chord - 1).clamp(min=0)], known[row, (chord + 2).clamp(max=known.shape[1] - 1)]
+    before = end <= 0.0
+    lower, upper = torch.where(before, lower, lower.clamp(min=0.0)), torch.where(before, upper.clamp(max=0.0), upper)
+    direction = torch.where(before[:, None], rays.before, rays.after)
+    distance = (start + end) / 2.0
+    for _ in range(STEPS):
+        pixels, along = _moving_pixels(camera, rays.origin + distance[:, None] * direction, direction)
+        step = ((at - pixels) * along).sum(dim=-1) / along.square().sum(dim=-1).clamp(min=TINY)
+        distance = (distance + step).clamp(lower, upper)
+    pixels, valid = camera.project(rays.origin + distance[:, None] * direction)
+    return distance, (pixels - at).norm(dim=-1), valid
+
+
+def _moving_pixels(camera: RefractiveCamera, points: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
+    """Pixels (k, 2) of points (k, 3), and their derivatives (k, 2) as the points move along `direction` (k, 3)."""
+    (u, v), _, by = projection_parts(
+        camera.intrinsics, camera.cam_from_world_rotation, camera.center_in_world, points, camera.interface, ("point",)
+    )
+    dx, dy, dz = direction.unbind(dim=-1)
+    along = torch.stack([rows[0] * dx + rows[1] * dy + rows[2] * dz for rows in by["point"]], dim=-1)
+    return torch.stack((u, v), dim=-1), along
+
+
+def _checked_range(rays: PixelRays, camera: RefractiveCamera, near: Tensor, far: Tensor) -> tuple[Tensor, Tensor]:
+    """near and far (n) in the rays' dtype."""
+    if camera.shape:
+        raise ValueError(f"camera has batch shape {tuple(camera.shape)}, but must be a single camera")
+    shape = require_broadcasting(rays=rays.origin.shape[:-1], near=near.shape, far=far.shape)
+    near, far = (value.to(rays.origin).expand(shape) for value in (near, far))
+    require(far - near, "far - near", at_least=0.0)
+    return near, far

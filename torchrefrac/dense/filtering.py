@@ -1,0 +1,77 @@
+"""Which patches contradict others: those that hide what is seen through them, and those that stand alone (PMVS's filters)."""
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from torchrefrac.camera import RefractiveCamera
+from torchrefrac.dense.patches import Patches
+
+NEAREST = 12  # patches around one that it is judged by
+REACH = 4.0  # cells within which these must lie
+OFF_PLANE = 1.0  # footprints by which a patch may lie off its neighbours' planes, or 3 sigma
+THICKNESS = 4.0  # footprints within which two patches in one line of sight are the same surface
+
+
+def supported(patches: Patches, cell: int) -> Tensor:
+    """Which patches (N) lie on the planes of most of their neighbours, and these on theirs."""
+    count = len(patches)
+    if count <= NEAREST:
+        return torch.ones(count, dtype=torch.bool)
+    points = patches.points.numpy()
+    distance, index = cKDTree(points).query(points, k=NEAREST + 1, workers=1)
+    near = torch.from_numpy(distance[:, 1:]) < REACH * cell * patches.footprint[:, None]
+    index = torch.from_numpy(np.ascontiguousarray(index[:, 1:]))
+    offset = patches.points[index] - patches.points[:, None]
+    tolerance = torch.maximum(OFF_PLANE * patches.footprint, 3.0 * patches.sigma)[:, None]
+    theirs = (offset * patches.normals[index]).sum(dim=-1).abs()
+    ours = (offset * patches.normals[:, None]).sum(dim=-1).abs()
+    agree = near & (theirs < tolerance) & (ours < 2.0 * tolerance)
+    return agree.sum(dim=1) > NEAREST // 2
+
+
+def unobstructing(patches: Patches, cameras: RefractiveCamera, cell: int) -> Tensor:
+    """Which patches (N) are not contradicted by what others see through them.
+
+    cameras (m). In every image a patch falls into a cell. Patches that are seen there beyond it speak against it with
+    their scores, those at its own distance for it, and it speaks for itself in every image that sees it.
+    """
+    against = torch.zeros(len(patches), dtype=torch.float64)
+    favour = patches.score * patches.views
+    for image in range(cameras.shape[0]):
+        seen = (patches.reference == image) | ((patches.others == image) & patches.visible).any(dim=1)
+        if not bool(seen.any()):
+            continue
+        camera = cameras[image]
+        pixels, valid = camera.project(patches.points, inside_image=True)
+        rows = valid.nonzero()[:, 0]
+        columns = camera.intrinsics.width // cell + 1
+        at = (pixels[rows] / cell).long()
+        depth = (camera.cam_from_world_rotation[2] * (patches.points[rows] - camera.center_in_world)).sum(dim=-1)
+        beyond, same = _votes(
+            at[:, 1] * columns + at[:, 0],
+            depth,
+            THICKNESS * patches.footprint[rows],
+            torch.where(seen[rows], patches.score[rows], 0.0),
+        )
+        against[rows] += beyond
+        favour[rows] += same
+    return against <= favour
+
+
+def _votes(cells: Tensor, depth: Tensor, thickness: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+    """Weights (k) of all others in the same cell that lie beyond each, and at its depth."""
+    if not len(cells):
+        return depth, depth
+    low = depth.min()
+    span = (depth.max() - low + 2.0 * thickness.max() + 1.0) * 1.01
+    key = cells.double() * span + (depth - low)
+    order = key.argsort()
+    ordered = key[order]
+    total = torch.cat((weight.new_zeros(1), weight[order].cumsum(dim=0)))
+    start = torch.searchsorted(ordered, torch.maximum(key - thickness, cells * span - 0.5))
+    behind = torch.searchsorted(ordered, key + thickness, right=True)
+    end = torch.searchsorted(ordered, (cells + 1) * span - thickness.max() - 0.5)
+    end = torch.maximum(end, behind)
+    return total[end] - total[behind], total[behind] - total[start] - weight

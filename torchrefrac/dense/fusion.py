@@ -1,0 +1,73 @@
+"""The patches of images that were each filled on their own, as one surface."""
+
+import torch
+from torch import Tensor
+
+from torchrefrac.camera import RefractiveCamera
+from torchrefrac.dense.patches import Patches
+
+OFF_PLANE = 1.0  # footprints by which two patches of one surface may differ, or 3 sigma
+REACH = 3.0  # cells within which the other patch must lie
+
+
+def fuse(patches: Patches, cameras: RefractiveCamera, cell: int, min_maps: int) -> Patches:
+    """Patches that at least `min_maps` images found, each once, at the mean of what these images found.
+
+    cameras (m). A patch is found again by an image whose own patch in that place lies in the same plane. The mean is
+    taken along the normal, weighted by 1 / sigma^2; sigma stays that of the better patch, as they share photographs.
+    """
+    tables = _tables(patches, cameras, cell)
+    taken = torch.zeros(len(patches), dtype=torch.bool)
+    kept, points = [], []
+    for image in range(cameras.shape[0]):
+        rows = ((patches.reference == image) & ~taken).nonzero()[:, 0]
+        weight = patches.sigma[rows].square().reciprocal()
+        total, moved = weight.clone(), torch.zeros_like(weight)
+        maps = torch.ones_like(rows)
+        for other in range(cameras.shape[0]):
+            if other == image:
+                continue
+            match, offset, agrees = _found_again(patches, rows, cameras[other], tables[other], cell)
+            share = torch.where(agrees, patches.sigma[match].square().reciprocal(), 0.0)
+            total += share
+            moved += share * offset
+            maps += agrees
+            taken[match[agrees]] = True
+        good = maps >= min_maps
+        taken[rows[good]] = True
+        kept.append(rows[good])
+        points.append(patches.points[rows[good]] + (moved / total)[good, None] * patches.normals[rows[good]])
+    return patches[torch.cat(kept)].moved_to(torch.cat(points))
+
+
+def _tables(patches: Patches, cameras: RefractiveCamera, cell: int) -> list[Tensor]:
+    """For every image, the patch (rows, columns) of each of its cells, -1 where there is none."""
+    width, height = cameras.intrinsics.width, cameras.intrinsics.height
+    tables = []
+    for image in range(cameras.shape[0]):
+        rows = (patches.reference == image).nonzero()[:, 0]
+        table = torch.full((height // cell + 1, width // cell + 1), -1, dtype=torch.long)
+        column, row = (patches.pixels[rows] / cell).long().unbind(dim=-1)
+        table[row, column] = rows
+        tables.append(table)
+    return tables
+
+
+def _found_again(
+    patches: Patches, rows: Tensor, camera: RefractiveCamera, table: Tensor, cell: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The other image's patch (k) where each of `rows` (k) is seen, how far its plane is along the normal, and whether
+    the two are the same surface."""
+    pixels, valid = camera.project(patches.points[rows], inside_image=True)
+    column, row = (pixels / cell).long().unbind(dim=-1)
+    match = table[row.clamp(0, table.shape[0] - 1), column.clamp(0, table.shape[1] - 1)]
+    valid = valid & (match >= 0)
+    match = match.clamp(min=0)
+    apart = patches.points[match] - patches.points[rows]
+    turned = (patches.normals[match] * patches.normals[rows]).sum(dim=-1)
+    valid = valid & (turned > 0.5)
+    offset = (apart * patches.normals[match]).sum(dim=-1) / torch.where(valid, turned, 1.0)
+    footprint = torch.maximum(patches.footprint[rows], patches.footprint[match])
+    sigma = torch.maximum(patches.sigma[rows], patches.sigma[match])
+    near = apart.norm(dim=-1) < REACH * cell * footprint
+    return match, offset, valid & near & (offset.abs() < torch.maximum(OFF_PLANE * footprint, 3.0 * sigma))

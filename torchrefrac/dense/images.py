@@ -1,0 +1,69 @@
+"""The photographs of a capture and their masks, read when they are needed."""
+
+from functools import lru_cache
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchrefrac.scene import Capture, CaptureError
+from torchrefrac.scene.capture_file import read_color, read_grey
+
+MASKS = "masks"
+
+
+class Images:
+    """Grey and coloured pixels as 8-bit tensors, and the masks that lie in masks/ beside images/.
+
+    masks/NAME.png, where NAME is that of the image with or without its ending: black is left out. Of the grey images
+    the last few are kept.
+    """
+
+    def __init__(self, capture: Capture, kept: int = 24) -> None:
+        self.capture = capture
+        self.size = (capture.intrinsics.height, capture.intrinsics.width)
+        self._masks = [_mask_path(capture, name) for name in capture.names]
+        self.grey = lru_cache(maxsize=kept)(self._grey)
+        self.allowed = lru_cache(maxsize=kept)(self._allowed)
+
+    @property
+    def has_masks(self) -> bool:
+        return any(path is not None for path in self._masks)
+
+    def check(self) -> None:
+        """Raise CaptureError for an image or a mask that is missing, cannot be read, or has another size."""
+        for i in range(len(self.capture)):
+            self._grey(i)
+            self._allowed(i)
+
+    def colors(self, image: int, pixels: Tensor) -> Tensor:
+        """(k, 3) uint8 RGB at pixels (k, 2)."""
+        picture = torch.from_numpy(read_color(self.capture.paths[image]))
+        column, row = pixels.long().unbind(dim=-1)
+        return picture[row, column].flip(-1)
+
+    def _grey(self, image: int) -> Tensor:
+        """(height, width) uint8."""
+        path = self.capture.paths[image]
+        if not path.is_file():
+            raise CaptureError(f"{path} does not exist any more, but the reconstruction has its pose; put it back")
+        return self._sized(torch.from_numpy(read_grey(path)), path)
+
+    def _allowed(self, image: int) -> Tensor:
+        """(height, width) which pixels the mask lets through."""
+        path = self._masks[image]
+        if path is None:
+            return torch.ones(self.size, dtype=torch.bool)
+        return self._sized(torch.from_numpy(read_grey(path)), path) > 0
+
+    def _sized(self, picture: Tensor, path: Path) -> Tensor:
+        if tuple(picture.shape) != self.size:
+            found, wanted = (f"{width}x{height}" for height, width in (picture.shape, self.size))
+            raise CaptureError(f"{path} is {found}, but the images are {wanted}; give it their size")
+        return picture
+
+
+def _mask_path(capture: Capture, name: str) -> Path | None:
+    folder = capture.folder / MASKS
+    choices = (folder / f"{name}.png", (folder / name).with_suffix(".png"))
+    return next((path for path in choices if path.is_file()), None)

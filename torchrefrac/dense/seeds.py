@@ -1,0 +1,50 @@
+"""Where patches begin: at the sparse points, at patches found from other images, and at matched interest points."""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from torchrefrac.dense.growth import Cells
+from torchrefrac.dense.options import DenseOptions
+from torchrefrac.dense.patches import Patches
+from torchrefrac.dense.refine import Planes, refine
+from torchrefrac.dense.scope import Scope
+from torchrefrac.scene import Reconstruction
+
+
+def cover(scope: Scope, cells: Cells, known: Patches, options: DenseOptions) -> None:
+    """Fill the cells in which a known patch is seen, without a new one: the reference agrees with some other image
+    about it as it is. They are what new patches grow from, too."""
+    camera = scope.cameras[0]
+    pixels, valid = camera.project(known.points, inside_image=True)
+    at, inside = cells.index(pixels)
+    facing = (known.normals * (camera.center_in_world - known.points)).sum(dim=-1) > 0
+    rows = (valid & inside & facing).nonzero()[:, 0]
+    as_it_is = replace(options, iterations=0, views=1, min_views=2)
+    planes = Planes(known.points[rows], known.normals[rows])
+    seen, good = refine(scope, pixels[rows], planes, as_it_is)
+    rows = rows[good]
+    cells.fill(at[rows], known.points[rows], known.normals[rows], seen.score)
+
+
+def sparse_seeds(
+    scope: Scope, cells: Cells, reconstruction: Reconstruction, options: DenseOptions
+) -> Patches:
+    """Patches at the sparse points that the reference observes, where their cell is empty."""
+    observed = reconstruction.image == int(scope.ids[0])
+    points = reconstruction.points[reconstruction.point[observed]]
+    at, inside = cells.index(reconstruction.pixels[observed])
+    facing = scope.cameras[0].center_in_world - points
+    return begin(scope, cells, at[inside], Planes(points[inside], facing[inside]), options)
+
+
+def begin(scope: Scope, cells: Cells, at: Tensor, planes: Planes, options: DenseOptions, start_level: int = 0) -> Patches:
+    """Refine one patch in each empty cell of `at` (k), from its first plane, and fill the cells."""
+    order = at.argsort(stable=True)
+    first = torch.ones(len(order), dtype=torch.bool)
+    first[1:] = at[order][1:] != at[order][:-1]
+    rows = order[first & ~cells.filled[at[order]]]
+    patches, good = refine(scope, cells.pixels[at[rows]], planes[rows], options, start_level)
+    cells.fill(at[rows[good]], patches.points, patches.normals, patches.score)
+    return patches

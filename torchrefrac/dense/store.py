@@ -1,0 +1,83 @@
+"""Finished images of a dense reconstruction, kept so that an interrupted one goes on where it stopped."""
+
+import hashlib
+import json
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import torch
+
+from torchrefrac.dense.options import DenseOptions
+from torchrefrac.dense.patches import Patches
+from torchrefrac.scene import Capture, Reconstruction
+from torchrefrac.scene.atomic import replacing
+
+
+class Store(Protocol):
+    """Keeps the patches of finished images."""
+
+    def load(self, image: int) -> Patches | None: ...
+
+    def save(self, image: int, patches: Patches) -> None: ...
+
+
+class NoStore:
+    """Keeps nothing."""
+
+    def load(self, image: int) -> Patches | None:
+        return None
+
+    def save(self, image: int, patches: Patches) -> None: ...
+
+
+class FolderStore:
+    """Keeps them in a folder, one file an image, with what they were made from; others that lie there are removed."""
+
+    def __init__(self, folder: Path, capture: Capture, reconstruction: Reconstruction, options: DenseOptions) -> None:
+        self.folder = folder
+        made_from = fingerprint(capture, reconstruction, options)
+        label = folder / "made_from.txt"
+        if not label.is_file() or label.read_text(encoding="ascii") != made_from:
+            self.clear()
+            with replacing(label) as temporary:
+                temporary.write_text(made_from, encoding="ascii")
+
+    def load(self, image: int) -> Patches | None:
+        path = self._path(image)
+        if not path.is_file():
+            return None
+        with np.load(path) as arrays:
+            return Patches(*(torch.from_numpy(arrays[f.name]) for f in fields(Patches)))
+
+    def save(self, image: int, patches: Patches) -> None:
+        with replacing(self._path(image)) as temporary:
+            arrays = {f.name: getattr(patches, f.name).numpy() for f in fields(Patches)}
+            np.savez(temporary, **arrays)  # type: ignore[arg-type]
+
+    def clear(self) -> None:
+        """Remove all files, and the folder."""
+        for path in (*self.folder.glob("patches_*.npz"), self.folder / "made_from.txt"):
+            path.unlink(missing_ok=True)
+        if self.folder.is_dir() and not any(self.folder.iterdir()):
+            self.folder.rmdir()
+
+    def _path(self, image: int) -> Path:
+        return self.folder / f"patches_{image:05d}.npz"
+
+
+def fingerprint(capture: Capture, reconstruction: Reconstruction, options: DenseOptions) -> str:
+    """A hash of all that decides the patches: poses, lens, water, points, options, image files and masks."""
+    digest = hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode())
+    lens = reconstruction.intrinsics
+    for tensor in (
+        *(reconstruction.registered, reconstruction.rotation, reconstruction.center, reconstruction.points),
+        *(reconstruction.image, reconstruction.point, lens.focal, lens.principal_point, lens.distortion),
+    ):
+        digest.update(tensor.contiguous().numpy().tobytes())
+    digest.update(repr((reconstruction.index_ratio, lens.width, lens.height)).encode())
+    for path in (*capture.paths, *sorted((capture.folder / "masks").glob("**/*.png"))):
+        stat = path.stat()
+        digest.update(repr((path.name, stat.st_size, stat.st_mtime_ns)).encode())
+    return digest.hexdigest()
