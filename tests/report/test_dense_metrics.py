@@ -267,6 +267,13 @@ def test_texture_is_the_spread_of_grey_in_the_window(views, window):
         assert torch.equal(found, torch.stack(expected))
 
 
+def test_no_images_see_no_points(views):
+    table, _ = views
+    none = TruthPoints((), 4, 2.0, table.points[:0], table.plane[:0], table.valid[:0])
+
+    assert textured_points(none, []).shape == (0, 3)
+
+
 def test_images_may_hold_whole_numbers(views):
     table, images = views
     bytes_of = [image.round().to(torch.uint8) for image in images]

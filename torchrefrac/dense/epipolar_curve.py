@@ -20,6 +20,7 @@ CURVES = 1024  # worked on at once
 COARSE = 33  # samples of a curve whose course is not known yet
 MOST_SAMPLES = 512
 MIN_CHORD = 1e-6  # pixels
+MARGIN = 32.0  # pixels around where the other points lie
 TINY = 1e-30
 STEPS = 4  # Gauss-Newton; within the band the curve bends so little that these leave nothing
 
@@ -53,8 +54,7 @@ def project_curve(
     """
     near, far = _checked_range(rays, camera, near, far)
     require(samples, "samples", at_least=2)
-    part = torch.linspace(0.0, 1.0, samples, dtype=near.dtype, device=near.device)
-    curve = _curve(rays, camera, torch.lerp(near[:, None], far[:, None], part))
+    curve = _curve(rays, camera, _evenly(near, far, samples))
     return curve.pixels, curve.distance, curve.valid
 
 
@@ -80,10 +80,11 @@ def find_candidates(
     require(band, "band", above=0.0)
     require(spacing, "spacing", above=0.0)
     parts = [Candidates(*(kind.new_zeros(0, dtype=torch.long),) * 2, *(near.new_zeros(0),) * 2)]
+    frame = _frame(others.pixels.to(near), band) if len(others) else near.new_zeros(2, 2)
     for first in range(0, len(near) if len(others) else 0, CURVES):
         rows = torch.arange(first, min(first + CURVES, len(near)), device=near.device)
-        curve = _follow(rays[rows], camera, near[rows], far[rows], band, spacing)
-        found = _nearest(rays[rows], kind[rows], camera, curve, others, band)
+        curve = _follow(rays[rows], camera, near[rows], far[rows], frame, spacing)
+        found = _nearest(rays[rows], kind[rows], camera, curve, others, frame, band)
         parts.append(Candidates(found.point + first, found.other, found.distance, found.offset))
     return Candidates(*(torch.cat([getattr(p, f) for p in parts]) for f in Candidates.__dataclass_fields__))
 
@@ -102,27 +103,32 @@ def _curve(rays: PixelRays, camera: RefractiveCamera, distance: Tensor) -> _Curv
 
 
 def _follow(
-    rays: PixelRays, camera: RefractiveCamera, near: Tensor, far: Tensor, band: float, spacing: float
+    rays: PixelRays, camera: RefractiveCamera, near: Tensor, far: Tensor, frame: Tensor, spacing: float
 ) -> _Curve:
-    """Samples that lie about `spacing` pixels apart within the image, one of them where the ray enters the water."""
-    curve = _Curve(*project_curve(rays, camera, near, far, COARSE))
+    """Samples about `spacing` pixels apart within the frame (2, 2), one of them where the ray enters the water."""
     surface = torch.zeros_like(near).clamp(near, far)[:, None]
+    distance = _evenly(near, far, COARSE)
     for apart in (4.0 * spacing, spacing):
-        length = _length(curve, camera, band)
-        samples = min(int(length[:, -1].max() / apart) + 2, MOST_SAMPLES)
-        distance = torch.cat((_spread(curve.distance, length, samples), surface), dim=1)
-        curve = _curve(rays, camera, distance.sort(dim=1).values)
-    return curve
+        curve = _curve(rays, camera, torch.cat((distance, surface), dim=1).sort(dim=1).values)
+        length = _length(curve, frame)
+        distance = _spread(curve.distance, length, min(int(length[:, -1].max() / apart) + 2, MOST_SAMPLES))
+    return _curve(rays, camera, torch.cat((distance, surface), dim=1).sort(dim=1).values)
 
 
-def _length(curve: _Curve, camera: RefractiveCamera, band: float) -> Tensor:
-    """Pixels from the first sample to each (n, s) along the chords, as far as they lie in the image.
+def _evenly(near: Tensor, far: Tensor, samples: int) -> Tensor:
+    """Distances (n, samples) from near (n) to far (n)."""
+    part = torch.linspace(0.0, 1.0, samples, dtype=near.dtype, device=near.device)
+    return torch.lerp(near[:, None], far[:, None], part)
+
+
+def _length(curve: _Curve, frame: Tensor) -> Tensor:
+    """Pixels from the first sample to each (n, s) along the chords, as far as they lie in the frame.
 
     Strictly ascending. A chord with one valid end counts as the longest that there is.
     """
-    chord = _within(curve.pixels, camera, band).diff(dim=1).norm(dim=-1)
+    chord = _within(curve.pixels, frame).diff(dim=1).norm(dim=-1)
     both, either = curve.valid[:, 1:] & curve.valid[:, :-1], curve.valid[:, 1:] | curve.valid[:, :-1]
-    longest = float(camera.intrinsics.width + camera.intrinsics.height)
+    longest = (frame[1] - frame[0]).norm()
     chord = torch.where(both, chord, torch.where(either, longest, 0.0)) + MIN_CHORD
     return torch.nn.functional.pad(chord.cumsum(dim=1), (1, 0))
 
@@ -136,17 +142,30 @@ def _spread(distance: Tensor, length: Tensor, samples: int) -> Tensor:
     return torch.lerp(distance.gather(1, index - 1), distance.gather(1, index), share)
 
 
-def _within(pixels: Tensor, camera: RefractiveCamera, band: float) -> Tensor:
-    """Pixels moved into the image and the band around it; chords keep there what they have of it."""
-    most = pixels.new_tensor((camera.intrinsics.width, camera.intrinsics.height)) + band
-    return pixels.clamp(torch.full_like(most, -band), most)
+def _frame(pixels: Tensor, band: float) -> Tensor:
+    """The least and the greatest pixels (2, 2) of all that may lie in the band of one of pixels (m, 2), and a margin.
+
+    Within the margin a chord may depart from its curve.
+    """
+    return torch.stack((pixels.amin(dim=0), pixels.amax(dim=0))) + pixels.new_tensor([[-1.0], [1.0]]) * (band + MARGIN)
+
+
+def _within(pixels: Tensor, frame: Tensor) -> Tensor:
+    """Pixels moved into the frame: of a chord, the part that lies there stays within the box around its moved ends."""
+    return pixels.clamp(frame[0], frame[1])
 
 
 def _nearest(
-    rays: PixelRays, kind: Tensor, camera: RefractiveCamera, curve: _Curve, others: InterestPoints, band: float
+    rays: PixelRays,
+    kind: Tensor,
+    camera: RefractiveCamera,
+    curve: _Curve,
+    others: InterestPoints,
+    frame: Tensor,
+    band: float,
 ) -> Candidates:
     """One pair at most of each row and point: of the nearest places on the chords before and beyond the water."""
-    row, chord, other = _near_chords(kind, camera, curve, others, band)
+    row, chord, other = _near_chords(kind, curve, others, frame, band)
     at = others.pixels.to(curve.pixels)[other]
     start, end = curve.pixels[row, chord], curve.pixels[row, chord + 1]
     along = end - start
@@ -162,7 +181,7 @@ def _nearest(
 
 
 def _near_chords(
-    kind: Tensor, camera: RefractiveCamera, curve: _Curve, others: InterestPoints, band: float
+    kind: Tensor, curve: _Curve, others: InterestPoints, frame: Tensor, band: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Rows (k), chords (k) and points (k) of the same kind that may come within the band of each other.
 
@@ -171,14 +190,12 @@ def _near_chords(
     """
     from scipy.spatial import KDTree  # noqa: PLC0415 - slow to import
 
-    inside = _within(curve.pixels, camera, band)
+    inside = _within(curve.pixels, frame)
     length = inside.diff(dim=1).norm(dim=-1)
     row, chord = (curve.valid[:, 1:] & curve.valid[:, :-1]).nonzero().unbind(dim=-1)
     reach = band + length[row, chord]
     middle = (inside[row, chord] + inside[row, chord + 1]) / 2.0
-    apart = 4.0 * (
-        band + camera.intrinsics.width + camera.intrinsics.height
-    )  # between the kinds, as a third coordinate
+    apart = 4.0 * float((frame[1] - frame[0]).norm())  # between the kinds, as a third coordinate
 
     def tree(pixels: Tensor, of_kind: Tensor) -> KDTree:
         points = torch.cat((pixels, apart * of_kind.to(pixels)[:, None]), dim=-1)
@@ -203,7 +220,7 @@ def _refined(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Distances (k) along rays (k) whose images lie nearest to pixels (k, 2), how near (k), and validity (k).
 
-    By Gauss-Newton on the exact projection, from the middle of a chord (k) of a row (k) of the `known` distances (n, s),
+    By Gauss-Newton on the exact projection, from the middle of a chord (k) of a row (k) of `known` distances (n, s),
     as far as the chords beside it reach, but not across the water.
     """
     start, end = known[row, chord], known[row, chord + 1]

@@ -13,9 +13,9 @@ from torchrefrac.checks import require, require_ending
 
 CORNER, BLOB = 0, 1
 BORDER = 4  # pixels along the border in which nothing is looked for: filters see beyond it
-MIN_CORNER = 1.0  # Harris response: slopes, in grey levels a pixel, to the fourth power
+MIN_CORNER = 0.35**4  # Harris response: slopes, in grey levels a pixel, to the fourth power
 MIN_BLOB = 0.8  # difference of Gaussians, grey levels
-FINE, COARSE = 1.0, 1.6  # their standard deviations, pixels
+FINE, COARSE = (1.0, 9), (1.6, 13)  # standard deviations of the Gaussians and sizes of their windows, pixels
 MAX_ELONGATION = 10.0  # ratio of a blob's principal curvatures, above which it is a piece of an edge (Lowe, IJCV 2004)
 MAX_SHIFT = 1.0  # pixels from a maximum to the vertex of the parabola through it, along each axis
 AROUND = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1))
@@ -37,11 +37,11 @@ def detect_interest_points(
 ) -> InterestPoints:
     """Corners and blobs of a grey image (h, w), 0 to 255, to a fraction of a pixel.
 
-    Corners are maxima of Harris's response, blobs maxima and minima of the difference of two Gaussians, among their 3 x
-    3 neighbours. Each lies at the vertex of the parabola through its neighbours. In each square of cell x cell pixels
-    the strongest `per_cell` of either kind stay. Nothing is found within 4 pixels of the border, nor where the response
-    is no stronger than noise with a standard deviation of one grey level makes it. mask (h, w): pixels that points may
-    lie in; None: all.
+    Corners are maxima of Harris's response to the image smoothed by a Gaussian, blobs maxima and minima of the
+    difference of two Gaussians, among their 3 x 3 neighbours. Each lies at the vertex of the parabola through its
+    neighbours. In each square of cell x cell pixels the strongest `per_cell` of either kind stay. Nothing is found
+    within 4 pixels of the border, nor where the response is no stronger than noise with a standard deviation of one
+    grey level makes it. mask (h, w): pixels that points may lie in; None: all.
 
     Points come corners first, square by square, the strongest of each first.
 
@@ -58,11 +58,12 @@ def detect_interest_points(
     if min(height, width) <= 2 * BORDER:
         empty = image.new_zeros(0, 2, dtype=torch.float64)
         return InterestPoints(empty, empty.new_zeros(0, dtype=torch.long))
-    from kornia import feature  # noqa: PLC0415 - importing it takes seconds
+    from kornia import feature, filters  # noqa: PLC0415 - importing it takes seconds
 
     whole = (image if image.is_floating_point() else image.float())[None, None]
-    corner = feature.harris_response(whole)[0, 0]
-    blob = feature.dog_response_single(whole, FINE, COARSE)[0, 0]
+    fine, coarse = (filters.gaussian_blur2d(whole, (size, size), (sigma, sigma)) for sigma, size in (FINE, COARSE))
+    corner = feature.harris_response(fine)[0, 0]
+    blob = feature.dog_response(torch.stack((fine, coarse), dim=2))[0, 0, 0]
     found = (
         _peaks(corner, MIN_CORNER, float("inf")),
         _peaks(blob, MIN_BLOB, MAX_ELONGATION),

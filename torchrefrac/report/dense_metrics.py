@@ -88,6 +88,8 @@ def textured_points(
         raise ValueError(f"images are {len(images)}, but truth_points is of {len(truth_points.names)} images")
     if window < 1 or window % 2 == 0:
         raise ValueError(f"window is {window}, but must be odd, so that it has a middle")
+    if not images:
+        return torch.zeros(0, 3, dtype=torch.float64)
     contrast = torch.stack([_contrast(image, truth_points.pixels(), window) for image in images])
     textured = truth_points.valid & (contrast >= min_contrast)
     points = [table[chosen].numpy() for table, chosen in zip(truth_points.points, textured, strict=True)]
