@@ -19,7 +19,7 @@ WIDTH, HEIGHT = 160, 120
 
 @dataclass(frozen=True)
 class Board:
-    """A flat piece of surface: a point of it, its normal (not of unit length), and how far it reaches from that point."""
+    """A flat piece of surface: a point of it, its normal (of any length), and how far it reaches from that point."""
 
     point: tuple[float, float, float]
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)

@@ -5,13 +5,12 @@ import sys
 
 import pytest
 import torch
-from conftest import Draw
 from torch import Tensor
 
 from torchrefrac.dense.interest_points import BLOB, CORNER, detect_interest_points
 
 
-def test_blobs_are_found_at_their_centres(draw: Draw) -> None:
+def test_blobs_are_found_at_their_centres(draw):
     rows, columns = torch.meshgrid(torch.arange(6) * 24.0 + 20.0, torch.arange(8) * 24.0 + 20.0, indexing="ij")
     centers = torch.stack((columns, rows), dim=-1).reshape(-1, 2).double() + draw.uniform(-0.5, 0.5, 48, 2)
     sign = torch.where(torch.arange(48) % 2 == 0, 60.0, -60.0).double()  # bright and dark
@@ -25,7 +24,7 @@ def test_blobs_are_found_at_their_centres(draw: Draw) -> None:
 
 
 @pytest.mark.parametrize(("kind", "gap"), [(CORNER, 0.2), (BLOB, 0.05)])
-def test_a_point_moves_with_the_image_by_parts_of_a_pixel(draw: Draw, kind: int, gap: float) -> None:
+def test_a_point_moves_with_the_image_by_parts_of_a_pixel(draw, kind: int, gap: float):
     centers, height = draw.uniform(10.0, 190.0, 400, 2), draw.uniform(-40.0, 40.0, 400)
     shift = torch.tensor((0.3, -0.4), dtype=torch.float64)
 
@@ -38,7 +37,7 @@ def test_a_point_moves_with_the_image_by_parts_of_a_pixel(draw: Draw, kind: int,
     assert float(torch.cdist(before, after).amin(dim=1).median()) > 0.4
 
 
-def test_the_corners_of_squares_are_corners() -> None:
+def test_the_corners_of_squares_are_corners():
     image = torch.full((128, 128), 60.0)
     image[32:96, 32:96] = 180.0
 
@@ -52,7 +51,7 @@ def test_the_corners_of_squares_are_corners() -> None:
     assert float(torch.cdist(corners, mirrored).amin(dim=1).max()) < 1e-3
 
 
-def test_along_a_straight_edge_there_is_nothing() -> None:
+def test_along_a_straight_edge_there_is_nothing():
     y, x = torch.meshgrid(torch.arange(128.0), torch.arange(128.0), indexing="ij")
     image = 40.0 + 160.0 * torch.sigmoid(2.0 * (0.31 * x + y - 80.0))
 
@@ -62,7 +61,7 @@ def test_along_a_straight_edge_there_is_nothing() -> None:
 
 
 @pytest.mark.parametrize("kind", ["flat", "ramp", "noise of one grey level"])
-def test_where_there_is_nothing_to_see_nothing_is_found(draw: Draw, kind: str) -> None:
+def test_where_there_is_nothing_to_see_nothing_is_found(draw, kind: str):
     image = torch.full((256, 320), 90.0, dtype=torch.float64)
     if kind == "ramp":
         image = image + 0.3 * torch.arange(320)
@@ -75,7 +74,7 @@ def test_where_there_is_nothing_to_see_nothing_is_found(draw: Draw, kind: str) -
     assert found.pixels.shape == (0, 2)
 
 
-def test_no_square_holds_more_than_it_may_and_the_strongest_stay(draw: Draw) -> None:
+def test_no_square_holds_more_than_it_may_and_the_strongest_stay(draw):
     image = (255.0 * draw.uniform(0.0, 1.0, 150, 230)).round().to(torch.uint8)
 
     everything = detect_interest_points(image, per_cell=10_000, cell=40)
@@ -88,7 +87,7 @@ def test_no_square_holds_more_than_it_may_and_the_strongest_stay(draw: Draw) -> 
         torch.testing.assert_close(found.pixels[square == name], everything.pixels[of_all == name][:3])
 
 
-def test_points_lie_where_the_mask_lets_them_and_off_the_border(draw: Draw) -> None:
+def test_points_lie_where_the_mask_lets_them_and_off_the_border(draw):
     image = 255.0 * draw.uniform(0.0, 1.0, 100, 140)
     mask = torch.zeros(100, 140, dtype=torch.bool)
     mask[:, 70:] = True
@@ -103,7 +102,7 @@ def test_points_lie_where_the_mask_lets_them_and_off_the_border(draw: Draw) -> N
     assert bool((free.pixels < torch.tensor((137.0, 97.0))).all())
 
 
-def test_equal_neighbours_count_once() -> None:
+def test_equal_neighbours_count_once():
     image = torch.full((64, 64), 50.0, dtype=torch.float64)
     image[30:32, 40:42] = 150.0  # its blob's middle lies between four pixels
 
@@ -114,11 +113,11 @@ def test_equal_neighbours_count_once() -> None:
     torch.testing.assert_close(blobs[near], torch.tensor([[41.0, 31.0]], dtype=torch.float64), rtol=0.0, atol=0.15)
 
 
-def test_an_image_that_is_all_border_has_no_points() -> None:
+def test_an_image_that_is_all_border_has_no_points():
     assert len(detect_interest_points(torch.rand(8, 300) * 255.0)) == 0
 
 
-def test_misuse_is_named() -> None:
+def test_misuse_is_named():
     image = torch.zeros(40, 50)
 
     with pytest.raises(ValueError, match=r"image has shape \(1, 40, 50\), but must be \(height, width\)"):
@@ -133,7 +132,7 @@ def test_misuse_is_named() -> None:
         detect_interest_points(image, cell=0)
 
 
-def test_kornia_waits_until_it_is_needed() -> None:
+def test_kornia_waits_until_it_is_needed():
     code = "import sys, torchrefrac.dense.epipolar_curve; print('kornia' in sys.modules)"
 
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

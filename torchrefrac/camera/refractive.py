@@ -122,13 +122,20 @@ class RefractiveCamera:
         Returns where they enter it (*B, 3), unit directions there (*B, 3), and a mask (*B): False for rays that do not
         meet the interface or are totally reflected, which are returned straight, from the centre.
         """
+        origins, _, directions, valid = self.follow_rays(pixels)
+        return origins, directions, valid
+
+    def follow_rays(self, pixels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """`cast_rays` with both parts of each ray: origins, unit directions before and after them (*B, 3), mask (*B)."""
         pixels = self._checked(pixels, "pixels", 2)
-        if not self.interface.moves_with_camera:
-            return refract_rays(self.center_in_world, self.view_directions(pixels), self.interface)
-        origin = torch.zeros_like(self.center_in_world)
-        origins, directions, valid = refract_rays(origin, self._directions_in_cam(pixels), self.interface)
+        in_cam = self._directions_in_cam(pixels)
         world_from_cam = self.cam_from_world_rotation.mT
-        return rotate(world_from_cam, origins) + self.center_in_world, rotate(world_from_cam, directions), valid
+        before = rotate(world_from_cam, in_cam)
+        if not self.interface.moves_with_camera:
+            origins, after, valid = refract_rays(self.center_in_world, before, self.interface)
+            return origins, before, after, valid
+        origins, after, valid = refract_rays(torch.zeros_like(self.center_in_world), in_cam, self.interface)
+        return rotate(world_from_cam, origins) + self.center_in_world, before, rotate(world_from_cam, after), valid
 
     def rays(self, height: int | None = None, width: int | None = None) -> tuple[Tensor, Tensor, Tensor]:
         """`cast_rays` for a whole image: origins and unit directions (*B, height, width, 3), mask (*B, height, width).

@@ -7,11 +7,11 @@ from torch import Tensor
 
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.rays import PixelRays
+from torchrefrac.dense.view_angle import angle_between, fitness
 from torchrefrac.scene import Reconstruction
 
 MARGIN = 0.25  # of the range of distances of the sparse points, added at either end
 MIN_POINTS = 5
-MIN_ANGLE = 1.0  # degrees
 
 
 class Neighbourhood(NamedTuple):
@@ -48,16 +48,10 @@ def _visibility(reconstruction: Reconstruction) -> Tensor:
     return seen
 
 
-def _worth(
-    reconstruction: Reconstruction, image: int, points: Tensor, shared: Tensor, options: DenseOptions
-) -> Tensor:
+def _worth(reconstruction: Reconstruction, image: int, points: Tensor, shared: Tensor, options: DenseOptions) -> Tensor:
     """Of all images (m) to `image`."""
-    sight = torch.nn.functional.normalize(
-        reconstruction.center[:, None] - reconstruction.points[points], dim=-1
-    )  # (m, k, 3)
-    angle = torch.rad2deg(torch.acos((sight * sight[image]).sum(dim=-1).clamp(-1.0, 1.0)))
-    fits = torch.minimum(angle / options.angle_best, options.angle_best / angle.clamp(min=1e-6))
-    fits = torch.where((angle > MIN_ANGLE) & (angle < options.angle_max) & shared[points].T, fits, 0.0)
+    angle = angle_between(reconstruction.center[:, None], reconstruction.center[image], reconstruction.points[points])
+    fits = torch.where(shared[points].T, fitness(angle, options), 0.0)
     fits[image] = 0.0
     return fits.sum(dim=1) * reconstruction.registered
 
@@ -69,4 +63,3 @@ def _range(reconstruction: Reconstruction, image: int, points: Tensor) -> tuple[
     low, high = float(distance.quantile(0.01)), float(distance.quantile(0.99))
     margin = MARGIN * max(high - low, 0.05 * abs(high))
     return low - margin, high + margin
-

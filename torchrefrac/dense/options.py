@@ -48,6 +48,6 @@ class DenseOptions:
     loss_scale: float = 0.3
     levels: int = 3
     iterations: int = 8
-    batch: int = 1024
+    batch: int = 2048
     max_tile: int = 2048
     sweep: SweepOptions = field(default_factory=SweepOptions)

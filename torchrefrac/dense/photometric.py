@@ -27,10 +27,12 @@ TINY = 1e-6  # squared norm of a window without any texture
 
 
 class Agreement(NamedTuple):
-    """zncc (N, V) and where it means something (N, V); gradient (N, V, 3), hessian (N, V, 3, 3) of c = 1 - ZNCC."""
+    """zncc (N, V) and where it means something (N, V); gradient (N, V, 3), hessian (N, V, 3, 3) of c = 1 - ZNCC; motion
+    (N, V): pixels by which the patch moves in the image per unit of its distance."""
 
     zncc: Tensor
     usable: Tensor
+    motion: Tensor
     gradient: Tensor
     hessian: Tensor
 
@@ -38,14 +40,14 @@ class Agreement(NamedTuple):
 class Comparison(NamedTuple):
     """What N patches are compared with; nothing here changes while they are refined.
 
-    cameras (m); atlas: of their images, in the same order; rays (N, 3): those of the window's three corners; reference
-    (N, K): unit vectors f^; image, level (N, V): other images, and which of their copies; present (N, V): which of
-    these are to be looked at.
+    rays (N, 3): those of the window's three corners; reference (N, K): unit vectors f^; image, level (N, V): other
+    images of the atlas, and which of their copies; cameras (N, V, 1): theirs; present (N, V): which of these are to
+    be looked at.
     """
 
-    cameras: RefractiveCamera
     atlas: Atlas
     window: Window
+    cameras: RefractiveCamera
     rays: PixelRays
     reference: Tensor
     image: Tensor
@@ -56,6 +58,7 @@ class Comparison(NamedTuple):
     def subset(self, rows: Tensor) -> "Comparison":
         """Some of the patches."""
         return self._replace(
+            cameras=self.cameras[rows],
             rays=self.rays[rows],
             reference=self.reference[rows],
             image=self.image[rows],
@@ -63,24 +66,19 @@ class Comparison(NamedTuple):
             present=self.present[rows],
         )
 
-    def corner_pixels(self, states: Tensor) -> tuple[Tensor, Tensor]:
-        """Where the corners are in each image (N, V, 3, 2), and how each moves with its own distance (N, V, 3, 2)."""
-        distances = states @ self.window.basis.to(states).T
-        pixels, along, _ = _project_corners(self.cameras, self.image, self.rays, distances)
-        shape = (*self.image.shape, *pixels.shape[1:])
-        return pixels.view(shape), along.view(shape)
+    def corners(self, states: Tensor) -> Tensor:
+        """Points (N, 3, 3) of the three corners at states (N, 3)."""
+        return self.rays.at(states @ self.window.basis.to(states).T)
 
     def at_matching_levels(self, states: Tensor, level: int, min_scale: float) -> "Comparison":
         """With the copies of the other images that show the patches as large as the reference's copy `level` does.
 
         An image that shows one at less than `min_scale` of the reference's size is no longer present.
         """
-        pixels, _ = self.corner_pixels(states)
+        pixels, _, _ = self._project(states)
         scale = (_area(pixels).abs() / _area(self.window.corners).to(pixels)).sqrt()
         fitting = level + torch.log2(scale.clamp(min=min_scale)).round().long()
-        return self._replace(
-            level=fitting.clamp(0, self.atlas.levels - 1), present=self.present & (scale >= min_scale)
-        )
+        return self._replace(level=fitting.clamp(0, self.atlas.levels - 1), present=self.present & (scale >= min_scale))
 
     def linearize(self, states: Tensor) -> Quadratic:
         """Costs, gradients and Gauss-Newton Hessians at states (N, 3): distance and two slopes."""
@@ -100,17 +98,18 @@ class Comparison(NamedTuple):
         shape = self.image.shape
         image, level = self.image.flatten(), self.level.flatten()
         basis, weights = self.window.basis.to(states), self.window.weights.to(self.reference)
-        pixels, slopes_of_pixels, valid = _project_corners(self.cameras, self.image, self.rays, states @ basis.T)
-        at = pixels.to(weights)
-        values, slopes = self.atlas.sample_with_slopes(image, level, weights @ at)
+        pixels, along, valid = self._project(states)
+        at, along = pixels.to(weights).flatten(0, 1), along.flatten(0, 1)
+        places = (at.flatten(1) @ self.window.places.to(weights)).unflatten(1, (-1, 2))
+        values, slopes = self.atlas.sample_with_slopes(image, level, places)
         vectors = weights.new_empty(len(image), 5, weights.shape[0])
-        torch.mul(slopes_of_pixels.to(weights) @ slopes.mT, weights.T, out=vectors[:, :3])
+        torch.mul(along.to(weights) @ slopes.mT, weights.T, out=vectors[:, :3])
         vectors[:, 3] = values
         vectors[:, 4] = self.reference.repeat_interleave(shape[1], dim=0)
         vectors -= vectors.mean(dim=-1, keepdim=True)
         gram = vectors @ vectors.mT
         norm_sq = gram[:, 3, 3]
-        usable = valid & (norm_sq > TINY) & self.atlas.contains(image, level, self.window.outer.to(at) @ at)
+        usable = valid.flatten() & (norm_sq > TINY) & self.atlas.contains(image, level, self.window.outer.to(at) @ at)
         per_norm = norm_sq.clamp(min=TINY).rsqrt()[:, None]
         to_state = basis.to(weights).T
         by_f = (gram[:, :3, 4] @ to_state.T) * per_norm
@@ -120,9 +119,23 @@ class Comparison(NamedTuple):
         return Agreement(
             zncc.view(shape),
             usable.view(shape) & self.present,
+            along.mean(dim=1).norm(dim=-1).view(shape),
             (by_g * zncc[:, None] - by_f).view(*shape, 3),
             (squares - by_g[:, :, None] * by_g[:, None, :]).view(*shape, 3, 3),
         )
+
+    def _project(self, states: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Pixels of the corners in each image (N, V, 3, 2), their derivatives in their own distances (N, V, 3, 2), and
+        which patches are seen (N, V)."""
+        distances = states @ self.window.basis.to(states).T
+        points, direction = self.rays.at(distances)[:, None], self.rays.direction_at(distances)[:, None]
+        seen = self.cameras
+        (u, v), valid, by = projection_parts(
+            seen.intrinsics, seen.cam_from_world_rotation, seen.center_in_world, points, seen.interface, ("point",)
+        )
+        dx, dy, dz = direction.unbind(dim=-1)
+        along = [row[0] * dx + row[1] * dy + row[2] * dz for row in by["point"]]
+        return torch.stack((u, v), dim=-1), torch.stack(along, dim=-1), valid.all(dim=-1)
 
 
 def unit_windows(atlas: Atlas, image: Tensor, level: Tensor, pixels: Tensor, window: Window) -> tuple[Tensor, Tensor]:
@@ -177,18 +190,3 @@ def _area(corners: Tensor) -> Tensor:
     """Twice the signed area of triangles (*B, 3, 2)."""
     a, b = corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :]
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-
-
-def _project_corners(
-    cameras: RefractiveCamera, image: Tensor, rays: PixelRays, distances: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Pixels (N V, 3, 2) of the corners at distances (N, 3) in images (N, V), their derivatives in these distances
-    (N V, 3, 2), and validity (N V)."""
-    points, direction = rays.at(distances)[:, None], rays.direction_at(distances)[:, None]
-    seen = cameras[image][..., None]
-    (u, v), valid, by = projection_parts(
-        seen.intrinsics, seen.cam_from_world_rotation, seen.center_in_world, points, seen.interface, ("point",)
-    )
-    dx, dy, dz = direction.unbind(dim=-1)
-    along = torch.stack([row[0] * dx + row[1] * dy + row[2] * dz for row in by["point"]], dim=-1)
-    return torch.stack((u, v), dim=-1).flatten(0, 1), along.flatten(0, 1), valid.all(dim=-1).flatten()

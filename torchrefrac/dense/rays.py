@@ -21,8 +21,8 @@ class PixelRays(NamedTuple):
     @classmethod
     def cast(cls, camera: RefractiveCamera, pixels: Tensor) -> "PixelRays":
         """Those of pixels (*B, 2). A ray that never meets the water is straight and starts at the centre."""
-        origin, after, _ = camera.cast_rays(pixels)
-        return cls(origin, camera.view_directions(pixels), after)
+        origin, before, after, _ = camera.follow_rays(pixels)
+        return cls(origin, before, after)
 
     def at(self, distance: Tensor) -> Tensor:
         """Points (*B, 3) at distances (*B)."""

@@ -1,18 +1,19 @@
-"""From a guess to a patch: which images to compare with, the photometric adjustment, and whether to believe it."""
+"""From a guess to a patch: which images to compare with, and the photometric adjustment."""
 
-import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchrefrac.dense.judge import fewest_others, judge, plane_through
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.photometric import Comparison, unit_windows
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.scope import Scope
-from torchrefrac.dense.window import CORNERS, Window
-from torchrefrac.optim.batched import covariance_of, minimize_each
+from torchrefrac.dense.view_angle import angle_between, fitness
+from torchrefrac.dense.window import Window
+from torchrefrac.optim.batched import minimize_each
 
 TOLERANCE = 1e-3  # of the cost: an adjustment ends within a fifth of a standard deviation
 MIN_SCALE = 0.4  # of an image against the reference: one that shows the surface smaller than this is not compared
@@ -24,8 +25,29 @@ class Planes(NamedTuple):
     points: Tensor
     normals: Tensor
 
-    def __getitem__(self, rows: Tensor) -> "Planes":  # type: ignore[override]
+    def __getitem__(self, rows: Tensor | slice) -> "Planes":  # type: ignore[override]
         return Planes(self.points[rows], self.normals[rows])
+
+
+class Subjects(NamedTuple):
+    """What is known of k patches before they are adjusted.
+
+    pixels (k, 2) in the reference; rays (k) through them; planes (k); reference (k, K): unit vectors of their windows;
+    contrast (k) of these, in grey levels; image (k, V): local images to compare with, and which of them will do:
+    present (k, V).
+    """
+
+    pixels: Tensor
+    rays: PixelRays
+    planes: Planes
+    reference: Tensor
+    contrast: Tensor
+    image: Tensor
+    present: Tensor
+
+    def subset(self, rows: Tensor) -> "Subjects":
+        """Some of them."""
+        return Subjects(*(part[rows] for part in self))
 
 
 def refine(
@@ -38,48 +60,13 @@ def refine(
     """
     parts, kept = [Patches.empty(min(options.views, scope.others))], [torch.zeros(0, dtype=torch.long)]
     for first in range(0, len(pixels), options.batch):
-        rows = slice(first, first + options.batch)
-        patches, good = _refine_batch(scope, pixels[rows], Planes(*(p[rows] for p in planes)), options, start_level)
+        batch = slice(first, first + options.batch)
+        subjects, rows = _choose(scope, pixels[batch], planes[batch], options)
+        comparison, states = _adjust(scope, subjects, options, start_level)
+        patches, good = judge(scope, comparison, states, subjects.pixels, subjects.rays, subjects.contrast, options)
         parts.append(patches)
-        kept.append(good + first)
+        kept.append(rows[good] + first)
     return Patches.together(parts), torch.cat(kept)
-
-
-def _refine_batch(
-    scope: Scope, pixels: Tensor, planes: Planes, options: DenseOptions, start_level: int
-) -> tuple[Patches, Tensor]:
-    reference = scope.cameras[0]
-    window = Window(options.window)
-    middle = PixelRays.cast(reference, pixels)
-    # The reference must show texture.
-    zero = torch.zeros(len(pixels), dtype=torch.long)
-    f, contrast = unit_windows(scope.atlas, zero, zero, pixels, window)
-    distance = middle.meet(planes.points, planes.normals)
-    lies = (contrast >= options.min_contrast) & (distance > scope.near) & (distance < scope.far)
-    rows = (lies & scope.is_allowed(zero, pixels)).nonzero()[:, 0]
-    pixels, planes, f, middle = pixels[rows], planes[rows], f[rows], middle[rows]
-    image, present = choose_views(scope, middle.at(distance[rows]), options)
-    enough = (present.sum(dim=1) >= _fewest(scope, options)).nonzero()[:, 0]
-    rows, pixels, planes, f, middle = rows[enough], pixels[enough], planes[enough], f[enough], middle[enough]
-    image, present, contrast = image[enough], present[enough], contrast[rows]
-    points, normals = planes
-    for level in range(start_level, -1, -1):
-        w = Window(options.window, 2.0**level)
-        corners = PixelRays.cast(reference, pixels[:, None] + w.corners)
-        states = corners.meet(points[:, None], normals[:, None]) @ torch.linalg.inv(w.basis).T
-        if level:
-            base = torch.full((len(pixels),), level)
-            f_level, _ = unit_windows(scope.atlas, torch.zeros_like(base), base, pixels, w)
-        else:
-            f_level = f
-        comparison = Comparison(
-            scope.cameras, scope.atlas, w, corners, f_level, image, torch.zeros_like(image), present, options.loss_scale
-        )
-        comparison = comparison.at_matching_levels(states, level, MIN_SCALE)
-        report = minimize_each(comparison, states, options.iterations, TOLERANCE)
-        points, normals = _plane_of(corners.at(report.states @ w.basis.T))
-        states = report.states
-    return _believed(scope, rows, pixels, middle, comparison, report, contrast, options)
 
 
 def choose_views(scope: Scope, points: Tensor, options: DenseOptions) -> tuple[Tensor, Tensor]:
@@ -91,70 +78,60 @@ def choose_views(scope: Scope, points: Tensor, options: DenseOptions) -> tuple[T
     local = torch.arange(1, 1 + scope.others)
     pixels, seen = cameras[1:, None].project(points)
     seen = seen & scope.is_allowed(local[:, None].expand(seen.shape), pixels)
-    sight = torch.nn.functional.normalize(cameras.center_in_world[:, None] - points, dim=-1)
-    cosine = (sight[1:] * sight[0]).sum(dim=-1).clamp(-1.0, 1.0)
-    angle = torch.rad2deg(torch.acos(cosine))
-    fits = torch.minimum(angle / options.angle_best, options.angle_best / angle.clamp(min=1e-6))
-    fits = torch.where(seen & (angle > 1.0) & (angle < options.angle_max), fits, 0.0)
+    angle = angle_between(cameras.center_in_world[1:, None], cameras.center_in_world[0], points)
+    fits = torch.where(seen, fitness(angle, options), 0.0)
     best = fits.T.topk(min(options.views, scope.others), dim=1)
     return local[best.indices], best.values > 0.0
 
 
-def _fewest(scope: Scope, options: DenseOptions) -> int:
-    """Other images that must agree."""
-    return max(1, min(options.min_views - 1, scope.others))
-
-
-def _plane_of(corners: Tensor) -> tuple[Tensor, Tensor]:
-    """A point of the plane through points (N, 3, 3), and its unit normal; both (N, 3)."""
-    normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return corners.mean(dim=1), torch.nn.functional.normalize(normal, dim=-1)
-
-
-def _believed(scope, rows, pixels, middle, comparison, report, contrast, options):
-    window = comparison.window
-    agreement = comparison.agreement(report.states)
-    visible = agreement.usable & (agreement.zncc >= options.min_score)
-    count = visible.sum(dim=1)
-    score = torch.where(visible, agreement.zncc, 0.0).sum(dim=1) / count.clamp(min=1)
-    corners = comparison.rays.at(report.states @ window.basis.T)
-    point, normal = _plane_of(corners)
-    distance = middle.meet(point, normal)
-    points = middle.at(distance)
-    sight = middle.direction_at(distance)
-    normal = normal * -torch.sign((normal * sight).sum(dim=-1, keepdim=True))
-    slant = -(normal * sight).sum(dim=-1)
-    weight = visible.to(agreement.hessian)
-    hessian = (weight[..., None, None] * agreement.hessian).sum(dim=1)
-    # noise
-    freedom = window.size**2 - 2 - CORNERS / count.clamp(min=1)
-    residual = 2.0 * (1.0 - score) / freedom
-    floor = 2.0 * (options.noise / contrast).square() / window.size**2
-    variance = torch.maximum(residual.double(), floor.double())
-    covariance, exists = covariance_of(hessian.double())
-    sigma = (variance * covariance[:, 0, 0]).sqrt()
-    _, along = comparison.corner_pixels(report.states)
-    shift = torch.where(visible, along.mean(dim=2).norm(dim=-1), 0.0).amax(dim=1)
-    spread = (corners - corners.mean(dim=1, keepdim=True))
-    across = spread - (spread * sight[:, None]).sum(dim=-1, keepdim=True) * sight[:, None]
-    footprint = across.square().sum(dim=-1).mean(dim=-1).sqrt() / window.radius
-    good = (
-        exists
-        & (count >= _fewest(scope, options))
-        & (slant > math.cos(math.radians(options.max_slant)))
-        & (sigma * shift < options.max_sigma)
+def _choose(scope: Scope, pixels: Tensor, planes: Planes, options: DenseOptions) -> tuple[Subjects, Tensor]:
+    """Those of the N guesses that can be compared, with what is needed for it, and which of the N they are."""
+    here = torch.zeros(len(pixels), dtype=torch.long)
+    reference, contrast = unit_windows(scope.atlas, here, here, pixels, Window(options.window))
+    rays = PixelRays.cast(scope.cameras[0], pixels)
+    distance = rays.meet(planes.points, planes.normals)
+    rows = (
+        (contrast >= options.min_contrast)
         & (distance > scope.near)
         & (distance < scope.far)
+        & scope.is_allowed(here, pixels)
     ).nonzero()[:, 0]
-    patches = Patches(
-        reference=scope.ids[:1].expand(len(rows)),
-        pixels=pixels,
-        points=points,
-        normals=normal,
-        sigma=sigma,
-        footprint=footprint,
-        score=score.double(),
-        others=scope.ids[comparison.image],
-        visible=visible,
-    )
-    return patches[good], rows[good]
+    image, present = choose_views(scope, rays[rows].at(distance[rows]), options)
+    enough = (present.sum(dim=1) >= fewest_others(scope, options)).nonzero()[:, 0]
+    kept = rows[enough]
+    return Subjects(
+        pixels[kept], rays[kept], planes[kept], reference[kept], contrast[kept], image[enough], present[enough]
+    ), kept
+
+
+def _adjust(scope: Scope, subjects: Subjects, options: DenseOptions, start_level: int) -> tuple[Comparison, Tensor]:
+    """Adjust from the smallest copies to the largest; returns the last comparison and the states (k, 3) it led to."""
+    points, normals = subjects.planes
+    level = start_level
+    while True:
+        window = Window(options.window, 2.0**level)
+        corners = PixelRays.cast(scope.cameras[0], subjects.pixels[:, None] + window.corners)
+        distances = corners.meet(points[:, None], normals[:, None])
+        states = distances @ torch.linalg.inv(window.basis).T
+        comparison = Comparison(
+            atlas=scope.atlas,
+            window=window,
+            cameras=scope.cameras[subjects.image[..., None]],
+            rays=corners,
+            reference=subjects.reference if level == 0 else _windows_at(scope, subjects.pixels, level, window),
+            image=subjects.image,
+            level=torch.zeros_like(subjects.image),
+            present=subjects.present,
+            tau=options.loss_scale,
+        ).at_matching_levels(states, level, MIN_SCALE)
+        if options.iterations:
+            states = minimize_each(comparison, states, options.iterations, TOLERANCE).states
+        if level == 0:
+            return comparison, states
+        points, normals = plane_through(comparison.corners(states))
+        level -= 1
+
+
+def _windows_at(scope: Scope, pixels: Tensor, level: int, window: Window) -> Tensor:
+    here = torch.zeros(len(pixels), dtype=torch.long)
+    return unit_windows(scope.atlas, here, torch.full_like(here, level), pixels, window)[0]

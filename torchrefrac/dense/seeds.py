@@ -14,23 +14,25 @@ from torchrefrac.scene import Reconstruction
 
 
 def cover(scope: Scope, cells: Cells, known: Patches, options: DenseOptions) -> None:
-    """Fill the cells in which a known patch is seen, without a new one: the reference agrees with some other image
-    about it as it is. They are what new patches grow from, too."""
+    """Fill the cells in which a known patch is seen, without a new one: its own comparison has shown it, or the
+    reference agrees with another image about it as it is. New patches grow from them, too."""
     camera = scope.cameras[0]
     pixels, valid = camera.project(known.points, inside_image=True)
     at, inside = cells.index(pixels)
     facing = (known.normals * (camera.center_in_world - known.points)).sum(dim=-1) > 0
-    rows = (valid & inside & facing).nonzero()[:, 0]
+    usable = valid & inside & facing
+    image = int(scope.ids[0])
+    shown = (known.reference == image) | ((known.others == image) & known.visible).any(dim=1)
+    rows = (usable & shown).nonzero()[:, 0]
+    cells.fill(at[rows], known.points[rows], known.normals[rows], known.score[rows])
+    rows = first_of_each(at, usable & ~shown & ~cells.filled[at])
     as_it_is = replace(options, iterations=0, views=1, min_views=2)
-    planes = Planes(known.points[rows], known.normals[rows])
-    seen, good = refine(scope, pixels[rows], planes, as_it_is)
+    seen, good = refine(scope, pixels[rows], Planes(known.points[rows], known.normals[rows]), as_it_is)
     rows = rows[good]
     cells.fill(at[rows], known.points[rows], known.normals[rows], seen.score)
 
 
-def sparse_seeds(
-    scope: Scope, cells: Cells, reconstruction: Reconstruction, options: DenseOptions
-) -> Patches:
+def sparse_seeds(scope: Scope, cells: Cells, reconstruction: Reconstruction, options: DenseOptions) -> Patches:
     """Patches at the sparse points that the reference observes, where their cell is empty."""
     observed = reconstruction.image == int(scope.ids[0])
     points = reconstruction.points[reconstruction.point[observed]]
@@ -39,12 +41,21 @@ def sparse_seeds(
     return begin(scope, cells, at[inside], Planes(points[inside], facing[inside]), options)
 
 
-def begin(scope: Scope, cells: Cells, at: Tensor, planes: Planes, options: DenseOptions, start_level: int = 0) -> Patches:
+def begin(
+    scope: Scope, cells: Cells, at: Tensor, planes: Planes, options: DenseOptions, start_level: int = 0
+) -> Patches:
     """Refine one patch in each empty cell of `at` (k), from its first plane, and fill the cells."""
-    order = at.argsort(stable=True)
-    first = torch.ones(len(order), dtype=torch.bool)
-    first[1:] = at[order][1:] != at[order][:-1]
-    rows = order[first & ~cells.filled[at[order]]]
+    rows = first_of_each(at, ~cells.filled[at])
     patches, good = refine(scope, cells.pixels[at[rows]], planes[rows], options, start_level)
     cells.fill(at[rows[good]], patches.points, patches.normals, patches.score)
     return patches
+
+
+def first_of_each(cells: Tensor, wanted: Tensor) -> Tensor:
+    """The first row of every cell among the `wanted` (n) of rows that lie in `cells` (n)."""
+    rows = wanted.nonzero()[:, 0]
+    order = cells[rows].argsort(stable=True)
+    ordered = cells[rows[order]]
+    first = torch.ones_like(ordered, dtype=torch.bool)
+    first[1:] = ordered[1:] != ordered[:-1]
+    return rows[order[first]]

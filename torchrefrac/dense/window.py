@@ -47,6 +47,11 @@ class Window:
         return (1.0 + 2.0 * (self.offsets @ self.corners.T) / self.radius**2) / CORNERS
 
     @cached_property
+    def places(self) -> Tensor:
+        """(6, 2 K): takes the corners' pixels (3, 2), row by row, to those of all samples (K, 2)."""
+        return torch.kron(self.weights, torch.eye(2, dtype=torch.float64)).T
+
+    @cached_property
     def outer(self) -> Tensor:
         """(4, 3): `weights` of the window's four outermost samples."""
         return self.weights[[0, self.size - 1, self.size * (self.size - 1), self.size**2 - 1]]

@@ -1,0 +1,96 @@
+"""Whether to believe an adjusted patch, and how precise it is."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchrefrac.dense.options import DenseOptions
+from torchrefrac.dense.patches import Patches
+from torchrefrac.dense.photometric import Agreement, Comparison
+from torchrefrac.dense.rays import PixelRays
+from torchrefrac.dense.scope import Scope
+from torchrefrac.dense.window import CORNERS, Window
+from torchrefrac.optim.batched import covariance_of
+
+
+def judge(
+    scope: Scope,
+    comparison: Comparison,
+    states: Tensor,
+    pixels: Tensor,
+    rays: PixelRays,
+    contrast: Tensor,
+    options: DenseOptions,
+) -> tuple[Patches, Tensor]:
+    """Of k patches at `states` (k, 3), centred at pixels (k, 2) on `rays` (k), those to be believed, and which these are.
+
+    Enough images must agree, the patch must face the camera, lie between near and far, and be determined: sigma times
+    the motion in the other images stays below `max_sigma` pixels.
+    """
+    agreement = comparison.agreement(states)
+    visible = agreement.usable & (agreement.zncc >= options.min_score)
+    count = visible.sum(dim=1)
+    score = (torch.where(visible, agreement.zncc, 0.0).sum(dim=1) / count.clamp(min=1)).to(states)
+    sigma, determined = _sigma(agreement, visible, score, contrast.to(states), comparison.window, options)
+    corners = comparison.corners(states)
+    middle, normal = plane_through(corners)
+    distance = rays.meet(middle, normal)
+    sight = rays.direction_at(distance)
+    facing = -(normal * sight).sum(dim=-1)
+    motion = torch.where(visible, agreement.motion, 0.0).amax(dim=1)
+    good = (
+        determined
+        & (count >= fewest_others(scope, options))
+        & (facing.abs() > math.cos(math.radians(options.max_slant)))
+        & (sigma * motion < options.max_sigma)
+        & (distance > scope.near)
+        & (distance < scope.far)
+    ).nonzero()[:, 0]
+    patches = Patches(
+        reference=scope.ids[0].expand(len(pixels)),
+        pixels=pixels,
+        points=rays.at(distance),
+        normals=normal * torch.sign(facing)[:, None],
+        sigma=sigma,
+        footprint=_footprint(corners, sight, comparison.window),
+        score=score,
+        others=scope.ids[comparison.image],
+        visible=visible,
+    )
+    return patches[good], good
+
+
+def fewest_others(scope: Scope, options: DenseOptions) -> int:
+    """How many other images must agree: fewer where the reference has fewer to compare with."""
+    return max(1, min(options.min_views - 1, scope.others))
+
+
+def plane_through(corners: Tensor) -> tuple[Tensor, Tensor]:
+    """A point of the plane through points (N, 3, 3), and its unit normal of either sign; both (N, 3)."""
+    normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return corners.mean(dim=1), torch.nn.functional.normalize(normal, dim=-1)
+
+
+def _sigma(
+    agreement: Agreement, visible: Tensor, score: Tensor, contrast: Tensor, window: Window, options: DenseOptions
+) -> tuple[Tensor, Tensor]:
+    """Standard deviation of the distances (k), and where the images determine all three numbers of a patch (k).
+
+    The variance of the residuals f^ - g^, each sample's, is what is left of them, but at least what `noise` grey levels
+    in both windows make.
+    """
+    samples = window.size**2
+    freedom = samples - 2 - CORNERS / visible.sum(dim=1).clamp(min=1)
+    left = 2.0 * (1.0 - score) / freedom
+    floor = 2.0 * (options.noise / contrast.clamp(min=options.min_contrast)).square() / samples
+    hessian = torch.where(visible[..., None, None], agreement.hessian, 0.0).sum(dim=1).to(score)
+    covariance, exists = covariance_of(hessian)
+    return (torch.maximum(left, floor) * covariance[:, 0, 0]).sqrt(), exists
+
+
+def _footprint(corners: Tensor, sight: Tensor, window: Window) -> Tensor:
+    """How far one reference pixel reaches across the line of sight (k), from the corners' spread (k, 3, 3)."""
+    spread = corners - corners.mean(dim=1, keepdim=True)
+    across = spread - (spread * sight[:, None]).sum(dim=-1, keepdim=True) * sight[:, None]
+    return across.square().sum(dim=-1).mean(dim=-1).sqrt() / window.radius
