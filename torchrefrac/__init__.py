@@ -17,15 +17,18 @@ if TYPE_CHECKING:
         to_kornia,
     )
     from torchrefrac.config import Options
+    from torchrefrac.dense import DenseOptions, densify, patch_costs
     from torchrefrac.geometry import Plane
     from torchrefrac.pipeline import reconstruct
     from torchrefrac.refraction import FlatInterface, solve_refrax, water_index
-    from torchrefrac.scene import Capture, Reconstruction, load_capture
+    from torchrefrac.scene import Capture, DenseCloud, Reconstruction, load_capture
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Capture",
+    "DenseCloud",
+    "DenseOptions",
     "FlatInterface",
     "Intrinsics",
     "LearnableCamera",
@@ -33,9 +36,11 @@ __all__ = [
     "Plane",
     "Reconstruction",
     "RefractiveCamera",
+    "densify",
     "from_kornia",
     "load_capture",
     "minimal",
+    "patch_costs",
     "reconstruct",
     "remove_refraction",
     "solve_refrax",
@@ -45,6 +50,8 @@ __all__ = [
 
 _HOME = {
     "Capture": "scene",
+    "DenseCloud": "scene",
+    "DenseOptions": "dense",
     "FlatInterface": "refraction",
     "Intrinsics": "camera",
     "LearnableCamera": "camera",
@@ -52,8 +59,10 @@ _HOME = {
     "Plane": "geometry",
     "Reconstruction": "scene",
     "RefractiveCamera": "camera",
+    "densify": "dense",
     "from_kornia": "camera",
     "load_capture": "scene",
+    "patch_costs": "dense",
     "reconstruct": "pipeline",
     "remove_refraction": "camera",
     "solve_refrax": "refraction",

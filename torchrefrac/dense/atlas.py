@@ -55,6 +55,12 @@ class Atlas:
     def levels(self) -> int:
         return self.offset.shape[1]
 
+    def part(self, image: int) -> tuple[Tensor, Tensor]:
+        """The part of an image (h, w) in its full size, and its corner (2)."""
+        x, y = (int(v) for v in self.offset[image, 0])
+        width, height = (int(v) for v in self.size[image, 0])
+        return self.sheet[0, 0, y : y + height, x : x + width], self.origin[image]
+
     def contains(self, image: Tensor, level: Tensor, pixels: Tensor) -> Tensor:
         """Whether all of pixels (P, K, 2) of images (P) lie in their copies (P), half a pixel from the border: (P)."""
         at = self._in_copy(image, level, pixels)

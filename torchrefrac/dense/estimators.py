@@ -7,7 +7,7 @@ from torchrefrac.dense.growth import Cells, grow
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.scope import Scope
-from torchrefrac.dense.seeds import begin, cover, sparse_seeds
+from torchrefrac.dense.seeds import begin, cover, matched_seeds, sparse_seeds
 from torchrefrac.dense.sweep import sweep
 from torchrefrac.scene import Reconstruction
 
@@ -25,10 +25,14 @@ class Estimator(Protocol):
 def grow_patches(
     scope: Scope, known: Patches, reconstruction: Reconstruction, options: DenseOptions
 ) -> Iterator[tuple[Patches, int]]:
-    """From seeds outwards (PMVS). Cells that show a known patch get none."""
+    """From seeds outwards (PMVS): first from known patches and sparse points, then from interest points in what is left.
+    Cells that show a known patch get none."""
     cells = Cells(scope, options.cell)
     cover(scope, cells, known, options)
     yield sparse_seeds(scope, cells, reconstruction, options), cells.newly_filled()
+    for patches in grow(scope, cells, options):
+        yield patches, cells.newly_filled()
+    yield matched_seeds(scope, cells, options), cells.newly_filled()
     for patches in grow(scope, cells, options):
         yield patches, cells.newly_filled()
 

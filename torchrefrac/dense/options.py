@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from torchrefrac.checks import require
+
 Method = Literal["none", "patch", "depthmap"]
 
 
@@ -15,6 +17,12 @@ class SweepOptions:
     level: int = 2
     window: int = 5
     min_score: float = 0.6
+
+    def __post_init__(self) -> None:
+        require(self.planes, "planes", at_least=2)
+        require(self.level, "level", at_least=0)
+        _require_window(self.window)
+        _require_score(self.min_score)
 
 
 @dataclass(frozen=True)
@@ -51,3 +59,39 @@ class DenseOptions:
     batch: int = 2048
     max_tile: int = 2048
     sweep: SweepOptions = field(default_factory=SweepOptions)
+
+    def __post_init__(self) -> None:
+        for name in ("cell", "views", "neighbours", "levels", "batch", "max_tile"):
+            require(getattr(self, name), name, at_least=1)
+        _require_window(self.window)
+        require(self.min_views, "min_views", at_least=2)
+        if self.min_views > self.views + 1:
+            raise ValueError(
+                f"min_views is {self.min_views}, but can be views + 1 = {self.views + 1} at most: no more are compared"
+            )
+        _require_score(self.min_score)
+        for name in ("angle_best", "angle_max", "noise", "max_sigma", "loss_scale"):
+            require(getattr(self, name), name, above=0.0)
+        require(self.angle_max, "angle_max", at_most=180.0)
+        if self.angle_best >= self.angle_max:
+            raise ValueError(f"angle_best is {self.angle_best:g}, but must be below angle_max, {self.angle_max:g}")
+        require(self.max_slant, "max_slant", above=0.0)
+        if self.max_slant >= 90.0:
+            raise ValueError(f"max_slant is {self.max_slant:g}, but must be below 90 degrees: a patch has to face the ray")
+        require(self.min_contrast, "min_contrast", at_least=0.0)
+        require(self.iterations, "iterations", at_least=0)
+        if self.method == "depthmap" and self.levels <= max(self.sweep.level, 1):
+            raise ValueError(
+                f"levels is {self.levels}, but a sweep in copies that are halved {self.sweep.level} times needs "
+                f"{max(self.sweep.level, 1) + 1}"
+            )
+
+
+def _require_window(window: int) -> None:
+    if window < 3 or window % 2 == 0:
+        raise ValueError(f"window is {window}, but must be odd, so that it has a middle, and at least 3")
+
+
+def _require_score(score: float) -> None:
+    if not 0.0 < score < 1.0:
+        raise ValueError(f"min_score is {score:g}, but must lie between 0 and 1")

@@ -5,12 +5,19 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from torchrefrac.dense.epipolar_curve import find_candidates
 from torchrefrac.dense.growth import Cells
+from torchrefrac.dense.interest_points import InterestPoints, detect_interest_points
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
+from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.refine import Planes, refine
 from torchrefrac.dense.scope import Scope
 from torchrefrac.scene import Reconstruction
+
+MATCHED_IMAGES = 3  # in which candidates are looked for
+BAND = 2.0  # pixels by which a candidate may lie off the curve
+FIRST_SCORE = 0.5  # of a candidate whose slant is not yet known
 
 
 def cover(scope: Scope, cells: Cells, known: Patches, options: DenseOptions) -> None:
@@ -41,6 +48,32 @@ def sparse_seeds(scope: Scope, cells: Cells, reconstruction: Reconstruction, opt
     return begin(scope, cells, at[inside], Planes(points[inside], facing[inside]), options)
 
 
+def matched_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Patches:
+    """Patches at interest points of the reference in empty cells, matched along their epipolar curves (PMVS's seeds).
+
+    Of an interest point's candidates in the best other images, the one on which most images agree best is refined.
+    """
+    ours = _interest_points(scope, 0)
+    at, inside = cells.index(ours.pixels)
+    rows = (inside & ~cells.filled[at]).nonzero()[:, 0]
+    rays = PixelRays.cast(scope.cameras[0], ours.pixels[rows])
+    near, far = (torch.full((len(rows),), bound, dtype=torch.float64) for bound in (scope.near, scope.far))
+    point, distance = [], []
+    for other in range(1, 1 + min(MATCHED_IMAGES, scope.others)):
+        theirs = _interest_points(scope, other)
+        found = find_candidates(rays, ours.kind[rows], scope.cameras[other], theirs, near, far, BAND)
+        point.append(found.point)
+        distance.append(found.distance)
+    point, distance = torch.cat(point), torch.cat(distance)
+    points = rays[point].at(distance)
+    planes = Planes(points, scope.cameras[0].center_in_world - points)
+    pixels = ours.pixels[rows[point]]
+    as_they_are = replace(options, iterations=0, min_score=FIRST_SCORE)
+    seen, good = refine(scope, pixels, planes, as_they_are)
+    best = good[(-seen.score * seen.views).argsort(stable=True)]
+    return begin(scope, cells, at[rows[point[best]]], planes[best], options)
+
+
 def begin(
     scope: Scope, cells: Cells, at: Tensor, planes: Planes, options: DenseOptions, start_level: int = 0
 ) -> Patches:
@@ -59,3 +92,12 @@ def first_of_each(cells: Tensor, wanted: Tensor) -> Tensor:
     first = torch.ones_like(ordered, dtype=torch.bool)
     first[1:] = ordered[1:] != ordered[:-1]
     return rows[order[first]]
+
+
+def _interest_points(scope: Scope, image: int) -> InterestPoints:
+    """Those of a local image, or of the part of it that the scope has."""
+    part, origin = scope.atlas.part(image)
+    found = detect_interest_points(part, per_cell=1)
+    pixels = found.pixels + origin
+    allowed = scope.is_allowed(torch.full((len(pixels),), image), pixels)
+    return InterestPoints(pixels[allowed], found.kind[allowed])

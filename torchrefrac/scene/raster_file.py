@@ -35,6 +35,20 @@ def load_raster(path: str | Path) -> Raster:
     )
 
 
+def require_geotiff(crs: str | None = None) -> None:
+    """Raise what `write_geotiff` would: ImportError where rasterio is missing, ValueError where crs is not known."""
+    try:
+        import rasterio  # type: ignore[import-not-found]  # noqa: PLC0415 - of an extra
+        from rasterio.errors import CRSError  # type: ignore[import-not-found]  # noqa: PLC0415
+    except ImportError:
+        raise ImportError("a GeoTIFF needs rasterio, which is not installed: pip install torchrefrac[geo]") from None
+    try:
+        if crs is not None:
+            rasterio.CRS.from_user_input(crs)
+    except CRSError as error:
+        raise ValueError(f"crs is {crs!r}, which is no coordinate reference system: {error}") from None
+
+
 def write_geotiff(raster: Raster, path: str | Path, crs: str | None = None) -> None:
     """Write height and depth as the two bands of a GeoTIFF, float32, NaN where there is no surface.
 
@@ -43,18 +57,13 @@ def write_geotiff(raster: Raster, path: str | Path, crs: str | None = None) -> N
 
     Raises ImportError where rasterio is missing, ValueError where the raster has no cells or crs is not known.
     """
-    try:
-        import rasterio  # type: ignore[import-not-found]  # noqa: PLC0415 - of an extra
-        from rasterio.errors import CRSError  # type: ignore[import-not-found]  # noqa: PLC0415
-    except ImportError:
-        raise ImportError("a GeoTIFF needs rasterio, which is not installed: pip install torchrefrac[geo]") from None
+    require_geotiff(crs)
+    import rasterio  # type: ignore[import-not-found]  # noqa: PLC0415 - of an extra
+
     rows, columns = raster.height.shape
     if not rows * columns:
         raise ValueError(f"the raster for {path} has no cells, but a GeoTIFF must have at least one")
-    try:
-        system = None if crs is None else rasterio.CRS.from_user_input(crs)
-    except CRSError as error:
-        raise ValueError(f"crs is {crs!r}, which is no coordinate reference system: {error}") from None
+    system = None if crs is None else rasterio.CRS.from_user_input(crs)
     bands = torch.stack((raster.height, raster.depth)).where(raster.valid, torch.nan).float().cpu().numpy()
     size = raster.cell_size
     with (
