@@ -88,7 +88,8 @@ def render(
     """
     lens = cameras.intrinsics
     column, row = np.meshgrid(np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5)
-    in_cam = np.stack((column - lens.width / 2, row - lens.height / 2, np.full(column.shape, FOCAL)), axis=-1) / FOCAL
+    plane = (np.stack((column, row), axis=-1) - lens.principal_point.numpy()) / lens.focal.numpy()
+    in_cam = np.concatenate((plane, np.ones((*column.shape, 1))), axis=-1)
     images, points, normals = [], [], []
     for rotation, center in zip(cameras.cam_from_world_rotation.numpy(), cameras.center_in_world.numpy(), strict=True):
         view = in_cam @ rotation

@@ -8,7 +8,6 @@ from rendered_scenes import FOCAL, Board, cameras_around, marble, render
 
 from torchrefrac.dense.atlas import Atlas
 from torchrefrac.dense.options import DenseOptions, SweepOptions
-from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.sweep import sweep
 
 OPTIONS = DenseOptions(sweep=SweepOptions(level=1))

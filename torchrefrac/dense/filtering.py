@@ -1,4 +1,4 @@
-"""Which patches contradict others: those that hide what is seen through them, and those that stand alone (PMVS's filters)."""
+"""Which patches contradict others: they hide what is seen through them, or stand alone (PMVS's filters)."""
 
 import numpy as np
 import torch

@@ -23,7 +23,7 @@ def judge(
     contrast: Tensor,
     options: DenseOptions,
 ) -> tuple[Patches, Tensor]:
-    """Of k patches at `states` (k, 3), centred at pixels (k, 2) on `rays` (k), those to be believed, and which these are.
+    """Of k patches at `states` (k, 3), centred at pixels (k, 2) on `rays` (k), those to be believed and their numbers.
 
     Enough images must agree, the patch must face the camera, lie between near and far, and be determined: sigma times
     the motion in the other images stays below `max_sigma` pixels.

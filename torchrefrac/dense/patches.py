@@ -10,9 +10,9 @@ from torch import Tensor
 class Patches:
     """N patches. reference (N): index of the image; pixels (N, 2): where they are centred in it.
 
-    points, normals (N, 3): world frame, the normals unit and towards the camera; sigma (N): standard deviation along the
-    ray, footprint (N): how far one reference pixel reaches there, both in length_unit; score (N): mean ZNCC of the images
-    that agree; others (N, V): images that the patch was compared with, and which of them agree: visible (N, V).
+    points, normals (N, 3): world frame, the normals unit and towards the camera; sigma (N): standard deviation along
+    the ray, footprint (N): how far one reference pixel reaches there, both in length_unit; score (N): mean ZNCC of the
+    images that agree; others (N, V): images that the patch was compared with, and which of them agree: visible (N, V).
     """
 
     reference: Tensor

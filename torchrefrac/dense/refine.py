@@ -55,8 +55,8 @@ def refine(
 ) -> tuple[Patches, Tensor]:
     """Adjust patches centred at reference pixels (N, 2) from `planes` (N), in batches.
 
-    Returns those that are to be believed and which of the N they are. start_level: first adjust in copies halved so many
-    times, for guesses that are off by several pixels.
+    Returns those that are to be believed and which of the N they are. start_level: first adjust in copies halved so
+    many times, for guesses that are off by several pixels.
     """
     parts, kept = [Patches.empty(min(options.views, scope.others))], [torch.zeros(0, dtype=torch.long)]
     for first in range(0, len(pixels), options.batch):

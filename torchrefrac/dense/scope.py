@@ -14,9 +14,9 @@ class Scope:
     """1 + n images; the first is the reference, of which the cells in `tile` are worked on.
 
     ids (1 + n): which images of the reconstruction these are; cameras (1 + n); atlas: of the same images, or of the
-    parts that show what the tile can see; allowed (1 + n, height, width): pixels that no mask excludes, None: all; near,
-    far: distances along the reference's rays (see `PixelRays`) between which the surface lies; tile: left, top, right,
-    bottom in pixels.
+    parts that show what the tile can see; allowed (1 + n, height, width): pixels that no mask excludes, None: all;
+    near, far: distances along the reference's rays (see `PixelRays`) between which the surface lies; tile: left, top,
+    right, bottom in pixels.
     """
 
     ids: Tensor

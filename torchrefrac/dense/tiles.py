@@ -1,4 +1,4 @@
-"""A reference image cut into tiles, and of the other images only what a tile can see: memory does not grow with them."""
+"""A reference image cut into tiles, and of the other images what a tile can see: memory does not grow with them."""
 
 from collections.abc import Iterator
 

@@ -5,7 +5,7 @@ As in `figures`, without global state and without a display. Of more than MOST p
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,9 +15,10 @@ from torch import Tensor
 
 from torchrefrac.geometry import Similarity
 from torchrefrac.report.dense_metrics import INLIER_SIGMAS, MAD_TO_SIGMA, signed_plane_distance
-from torchrefrac.report.figures import INK, PANEL_INCHES, TITLES, WATER, SideView, _across, _corners
+from torchrefrac.report.figures import INK, PANEL_INCHES, TITLES, WATER, SideView, _across, _corners, side_view
 from torchrefrac.scene.atomic import replacing
 from torchrefrac.scene.dense import DenseCloud, DepthMap
+from torchrefrac.scene.reconstruction import Reconstruction
 from torchrefrac.scene.truth import Truth
 
 MOST = 150_000
@@ -73,17 +74,21 @@ def error_panel(
     """
     unit = truth.length_unit
     points = aligned.apply(_thin(cloud.points))
-    start, end = "dense_accuracy_within_", f"_{unit}"
-    keys = [key for key in metrics if key.startswith(start) and key.endswith(end)]
-    lines = [f"{len(cloud)} points"]
-    if keys:
-        shares = " / ".join(f"{100.0 * metrics[key]:.1f}" for key in keys)
-        limits = " / ".join(key.removeprefix(start).removesuffix(end) for key in keys)
-        lines.append(f"{shares} % within {limits} {unit}")
-    if f"dense_plane_rms_{unit}" in metrics:
-        rms, share = metrics[f"dense_plane_rms_{unit}"], 100.0 * metrics["dense_plane_inliers"]
-        lines.append(f"RMS {rms:.3g} {unit} over {share:.1f} % inliers")
-    return ErrorPanel(TITLES.get(model, model), "\n".join(lines), points, signed_plane_distance(points, truth)[0], unit)
+    error, _ = signed_plane_distance(points, truth)
+    return ErrorPanel(TITLES.get(model, model), _caption(len(cloud), metrics, unit), points, error, unit)
+
+
+def dense_view(
+    model: str,
+    cloud: DenseCloud,
+    reconstruction: Reconstruction,
+    aligned: Similarity | None,
+    metrics: Mapping[str, Any],
+) -> SideView:
+    """The panel of a dense cloud for `draw_dense_views`, with the cameras that it was made from."""
+    points = _thin(cloud.points)
+    view = side_view(model, replace(reconstruction, points=points), aligned, metrics)
+    return replace(view, caption=_caption(len(cloud), metrics, cloud.length_unit))
 
 
 def draw_error_map(panels: Sequence[ErrorPanel], truth: Truth, path: Path, limit: float | None = None) -> None:
@@ -152,6 +157,21 @@ def draw_depth_map(depth_map: DepthMap, path: Path) -> None:
     figure.suptitle(f"{depth_map.name}: {known}{spread}", fontsize=12)
     with replacing(path) as temporary:
         figure.savefig(temporary)
+
+
+def _caption(count: int, metrics: Mapping[str, Any], unit: str) -> str:
+    """How many points there are, and how accurate they are where the metrics of `evaluate_dense` say so."""
+    start, end = "dense_accuracy_within_", f"_{unit}"
+    keys = [key for key in metrics if key.startswith(start) and key.endswith(end)]
+    lines = [f"{count} points"]
+    if keys:
+        shares = " / ".join(f"{100.0 * metrics[key]:.1f}" for key in keys)
+        limits = " / ".join(key.removeprefix(start).removesuffix(end) for key in keys)
+        lines.append(f"{shares} % within {limits} {unit}")
+    if f"dense_plane_rms_{unit}" in metrics:
+        rms, share = metrics[f"dense_plane_rms_{unit}"], 100.0 * metrics["dense_plane_inliers"]
+        lines.append(f"RMS {rms:.3g} {unit} over {share:.1f} % inliers")
+    return "\n".join(lines)
 
 
 def _draw(

@@ -20,6 +20,18 @@ SAME_PLACE = 1.5  # times the distance between neighbouring entries: two images'
 Metrics = dict[str, float | int | list[float | None]]
 
 
+def summarize_dense(cloud: DenseCloud) -> Metrics:
+    """What can be said without truth: how many points there are, and their median views, score and sigma."""
+    metrics: Metrics = {"dense_points": len(cloud)}
+    if len(cloud):
+        metrics |= {
+            "dense_views_median": float(cloud.views.double().median()),
+            "dense_score_median": float(cloud.score.median()),
+            f"dense_sigma_median_{cloud.length_unit}": float(cloud.sigma.median()),
+        }
+    return metrics
+
+
 def evaluate_dense(
     cloud: DenseCloud, truth: Truth, alignment: Similarity, seen: Tensor | None, within: Sequence[float] = WITHIN
 ) -> Metrics:

@@ -12,12 +12,15 @@ import numpy as np
 
 from torchrefrac.features import Features
 from torchrefrac.geometry import Similarity
+from torchrefrac.report.dense_outputs import remove_dense_outputs
 from torchrefrac.report.figures import draw_side_views, side_view
 from torchrefrac.scene import Capture, Reconstruction, Truth, write_cameras, write_points, write_tracks
+from torchrefrac.scene.alignment import alignment_errors, read_object
 from torchrefrac.scene.atomic import replacing
 from torchrefrac.sfm import VerifiedPair
 
 RESULTS = ("features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png", "metrics.json")
+DENSE, DENSE_METRICS = "dense", ("dense_", "seconds_dense")  # the stage, and how the names of its metrics begin
 
 
 class RunFolder:
@@ -31,22 +34,31 @@ class RunFolder:
     def recording(self, **about: Any) -> Iterator[None]:
         """Keep metrics.json true: "complete", or "failed" / "interrupted" with the reason and the last stage done.
 
-        Results of an earlier run in the same folder are removed first, so that the folder tells of one run.
+        Results of an earlier run in the same folder are removed first, so that the folder tells of one run. Only what a
+        dense stage had finished before it was interrupted stays, for the next one to go on with.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         for name in RESULTS:
             (self.folder / name).unlink(missing_ok=True)
-        start = time.perf_counter()
+        remove_dense_outputs(self.folder)
         self.metrics = {"status": "running", "stages": [], **about}
-        try:
+        with self._until_the_end():
             yield
-        except KeyboardInterrupt:
-            self._end("interrupted", start, "stopped by the user")
-            raise
-        except Exception as error:
-            self._end("failed", start, str(error) or type(error).__name__)
-            raise
-        self._end("complete", start)
+
+    @contextmanager
+    def recording_dense(self) -> Iterator[None]:
+        """The same for a dense stage alone: the results and metrics of all others stay, as metrics.json has them."""
+        found = read_metrics(self.folder)
+        kept = {name: value for name, value in found.items() if not name.startswith(DENSE_METRICS) and name != "reason"}
+        self.metrics = kept | {"status": "running", "stages": [name for name in kept["stages"] if name != DENSE]}
+        self.save_metrics()
+        remove_dense_outputs(self.folder)
+        with self._until_the_end():
+            yield
+
+    def save_metrics(self) -> None:
+        """Write metrics.json as it is now, for long stages that may come to a sudden end."""
+        write_metrics(self.metrics, self.folder)
 
     def stage_done(self, name: str, product: Any, seconds: float) -> None:
         """Write what a stage made."""
@@ -78,12 +90,25 @@ class RunFolder:
         view = side_view(self.metrics["model"], reconstruction, aligned, self.metrics)
         draw_side_views([view], truth if aligned is not None else None, self.folder / "side_view.png")
 
+    @contextmanager
+    def _until_the_end(self) -> Iterator[None]:
+        start = time.perf_counter() - sum(self.metrics.get(f"seconds_{stage}", 0.0) for stage in self.metrics["stages"])
+        try:
+            yield
+        except KeyboardInterrupt:
+            self._end("interrupted", start, "stopped by the user")
+            raise
+        except Exception as error:
+            self._end("failed", start, str(error) or type(error).__name__)
+            raise
+        self._end("complete", start)
+
     def _end(self, status: str, start: float, reason: str = "") -> None:
         self.metrics["status"] = status
         if reason:
             self.metrics["reason"] = reason
         self.metrics["seconds_total"] = round(time.perf_counter() - start, 3)
-        write_metrics(self.metrics, self.folder)
+        self.save_metrics()
 
 
 def describe_gravity(capture: Capture) -> dict[str, Any]:
@@ -91,6 +116,19 @@ def describe_gravity(capture: Capture) -> dict[str, Any]:
     if not capture.has_gravity:
         return {"gravity": "unknown"}
     return {"gravity": "measured", "gravity_sigma_deg": round(math.degrees(capture.down_sigma), 3)}
+
+
+def read_metrics(folder: Path) -> dict[str, Any]:
+    """Read `folder`/metrics.json; without one nothing is known but that no stage is complete. Raises AlignmentError where
+    it is damaged."""
+    path = folder / "metrics.json"
+    if not path.is_file():
+        return {"stages": []}
+    with alignment_errors():
+        content, top = read_object(path)
+        if not isinstance(content.get("stages"), list):
+            raise top.fail("stages", f"is {content.get('stages')!r}, but must be a list of stages")
+    return content
 
 
 def write_metrics(metrics: dict[str, Any], folder: Path) -> None:

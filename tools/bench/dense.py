@@ -1,0 +1,184 @@
+"""The dense stage: whole runs against truth, patches a second, and what the windows are sampled with.
+
+    python tools/bench/dense.py [CAPTURE_FOLDER] [--only runs|patches|sampling] [--methods patch depthmap] [--models ...]
+
+Without a folder it takes the embedded scene. Whole runs are started as a user starts them, each in a process of its own;
+the models without refraction are the peers, and the last column is their RMS to the true planes over the refractive one
+of the same method. Patches a second counts patches that are adjusted in up to five other images from guesses a few
+pixels off, kept or not; PMVS2 makes 890 a second and core. Sampling compares PyTorch's grid_sample with kornia's warps on
+the windows of patches.
+"""
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import kornia.geometry.transform as warps
+import torch
+from torch import Tensor
+
+import torchrefrac as tr
+from torchrefrac.dense.growth import Cells, grow
+from torchrefrac.dense.images import Images
+from torchrefrac.dense.neighbours import find_neighbours
+from torchrefrac.dense.options import DenseOptions
+from torchrefrac.dense.patches import Patches
+from torchrefrac.dense.refine import Planes, refine
+from torchrefrac.dense.seeds import sparse_seeds
+from torchrefrac.dense.tiles import scopes
+from torchrefrac.dense.window import Window
+from torchrefrac.scene.library import embedded_scene
+
+MODELS = ("none", "radial", "refractive")
+METHODS = ("patch", "depthmap")
+OFF_PIXELS, OFF_NORMAL = 1.5, 0.2  # by which the guesses of the speed test miss, standard deviations
+PATCHES = 16384
+HEADER = (
+    f"{'method':<9} {'model':<11} {'points':>7} {'accurate':>8} {'complete':>8} {'plane RMS':>12} "
+    f"{'dense s':>7} {'wall s':>6} {'GiB':>5} {'ratio':>6}"
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Dense reconstruction: truth, time and memory.")
+    parser.add_argument("capture", nargs="?", type=Path, help="folder with capture.json and truth.json")
+    parser.add_argument("--only", choices=("runs", "patches", "sampling"))
+    parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS)
+    parser.add_argument("--models", nargs="+", default=MODELS, choices=MODELS)
+    options = parser.parse_args()
+    folder = options.capture or embedded_scene("tank_small")
+    if options.only in (None, "sampling"):
+        sampling()
+    if options.only in (None, "patches"):
+        patches(folder)
+    if options.only in (None, "runs"):
+        runs(folder, options.methods, options.models)
+
+
+def sampling(count: int = 2000) -> None:
+    """Windows of 7 x 7 from one 1024 x 768 image, each with its own affinity."""
+    generator = torch.Generator().manual_seed(0)
+    image = torch.rand(1, 1, 768, 1024, generator=generator)
+    window = Window(7)
+    middle = torch.rand(count, 1, 2, generator=generator) * torch.tensor((960.0, 700.0)) + 32.0
+    turn = torch.eye(2) + 0.1 * torch.randn(count, 2, 2, generator=generator)
+    places = middle + window.offsets.float() @ turn.mT
+    grid = (places / torch.tensor((1024.0, 768.0)) * 2.0 - 1.0)[None]
+    wanted = grid.clone().requires_grad_()
+    affinity = _window_from_image(turn, middle[:, 0])
+    images = image.expand(count, -1, -1, -1)
+
+    def with_slopes() -> Tensor:
+        values = torch.nn.functional.grid_sample(image, wanted, align_corners=False)
+        return torch.autograd.grad(values, wanted, torch.ones_like(values))[0]
+
+    ways: dict[str, Callable[[], Tensor]] = {
+        "grid_sample": lambda: torch.nn.functional.grid_sample(image, grid, align_corners=False),
+        "grid_sample with slopes": with_slopes,
+        "kornia.warp_affine": lambda: warps.warp_affine(images, affinity[:, :2], (7, 7)),
+        "kornia.warp_perspective": lambda: warps.warp_perspective(images, affinity, (7, 7)),
+    }
+    reference = ways["grid_sample"]().view(count, 49)
+    assert torch.allclose(ways["kornia.warp_affine"]().view(count, 49), reference, atol=1e-3)
+    print(f"sampling {count} windows of 7 x 7, bilinear, {torch.get_num_threads()} threads")
+    rates = {name: count * 49 / _seconds(way) / 1e6 for name, way in ways.items()}
+    for name, rate in rates.items():
+        print(f"  {name:<24} {rate:6.1f} M samples/s  {rate / rates['grid_sample']:5.2f}x")
+
+
+def patches(folder: Path) -> None:
+    """Adjust patches of one image from perturbed planes."""
+    capture = tr.load_capture(folder)
+    reconstruction = tr.reconstruct(capture)
+    options = DenseOptions(method="patch")
+    hoods = find_neighbours(reconstruction, options)
+    image = max(hoods, key=lambda i: int((reconstruction.image == i).sum()))
+    scope = next(scopes(image, hoods[image], reconstruction.cameras, Images(capture), options))
+    cells = Cells(scope, options.cell)
+    start = time.perf_counter()
+    grown = Patches.together(
+        [sparse_seeds(scope, cells, reconstruction, options), *grow(scope, cells, options)],
+    )
+    seconds = time.perf_counter() - start
+    tried = int(cells.tries.sum())
+    print(f"growth over {capture.names[image]}: {len(grown)} patches of {tried} tried in {seconds:.1f} s, "
+          f"{len(grown) / seconds:.0f} patches/s")  # fmt: skip
+    generator = torch.Generator().manual_seed(0)
+    chosen = grown[torch.randperm(len(grown), generator=generator)[:PATCHES].sort().values]
+    noise = torch.randn(len(chosen), 1, generator=generator, dtype=torch.float64)
+    away = chosen.points - scope.cameras[0].center_in_world
+    moved = chosen.points + OFF_PIXELS * chosen.footprint[:, None] * noise * torch.nn.functional.normalize(away, dim=-1)
+    tilt = OFF_NORMAL * torch.randn(len(chosen), 3, generator=generator, dtype=torch.float64)
+    for views in (3, 5, 8):
+        chosen_options = DenseOptions(method="patch", views=views)
+
+        def work(chosen_options: DenseOptions = chosen_options) -> Tensor:
+            return refine(scope, chosen.pixels, Planes(moved, chosen.normals + tilt), chosen_options)[1]
+
+        kept = len(work())
+        rate = len(chosen) / _seconds(work, 3)
+        print(f"  adjusting in up to {views} other images: {rate:6.0f} patches/s, {kept / len(chosen):.1%} kept")
+
+
+def runs(folder: Path, methods: list[str], models: list[str]) -> None:
+    """Whole runs, sparse and dense."""
+    print(HEADER)
+    for method in methods:
+        results = {model: _run(folder, method, model) for model in models}
+        best = results.get("refractive", {})
+        for model, m in results.items():
+            rms, unit = _figure(m, "dense_plane_rms_")
+            reference, _ = _figure(best, "dense_plane_rms_")
+            print(
+                f"{method:<9} {model:<11} {m['dense_points']:>7} {_figure(m, 'dense_accuracy_within_0.2_')[0]:>8.2%} "
+                f"{_figure(m, 'dense_completeness_within_0.5_')[0]:>8.2%} {rms:>9.4f} {unit:<2} "
+                f"{m['seconds_dense']:>7.1f} {m['wall']:>6.1f} {m['peak']:>5.2f} {rms / reference:>5.0f}x"
+            )
+
+
+def _run(folder: Path, method: str, model: str) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as out:
+        command = [sys.executable, "-m", "torchrefrac", "scene=capture", f"scene.path={folder}", f"model={model}"]
+        command += [f"dense={method}", f"out={out}"]
+        start = time.perf_counter()
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        _, status, usage = os.wait4(process.pid, 0)
+        wall = time.perf_counter() - start
+        if status != 0:
+            sys.exit(f"{' '.join(command)} ended with status {os.waitstatus_to_exitcode(status)}")
+        metrics = json.loads((Path(out) / "metrics.json").read_text(encoding="utf-8"))
+    return metrics | {"wall": wall, "peak": usage.ru_maxrss / 2**20}
+
+
+def _figure(metrics: dict[str, Any], prefix: str) -> tuple[float, str]:
+    """A metric and its unit; not a number where the capture has no truth for it."""
+    key = next((key for key in metrics if key.startswith(prefix) and not key.startswith(f"{prefix}each")), None)
+    return (math.nan, "") if key is None else (metrics[key], key.removeprefix(prefix))
+
+
+def _window_from_image(turn: Tensor, middle: Tensor) -> Tensor:
+    """Affinities (count, 3, 3) as kornia takes them, on indices of pixels: window index from image index."""
+    image_from_window = torch.eye(3).repeat(len(turn), 1, 1)
+    image_from_window[:, :2, :2] = turn
+    image_from_window[:, :2, 2] = middle - 0.5 - 3.0 * turn.sum(dim=-1)
+    return torch.linalg.inv(image_from_window)
+
+
+def _seconds(work: Callable[[], Any], repeats: int = 10) -> float:
+    work()
+    start = time.perf_counter()
+    for _ in range(repeats):
+        work()
+    return (time.perf_counter() - start) / repeats
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,129 @@
+"""What the dense stage leaves in a run folder."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from torchrefrac.checks import require
+from torchrefrac.dense import Dense, DenseError, DenseOptions, depth_maps
+from torchrefrac.recorder import Recorder
+from torchrefrac.report.dense_figures import draw_depth_map
+from torchrefrac.report.raster_figure import draw_raster
+from torchrefrac.scene import (
+    DenseCloud,
+    Raster,
+    Reconstruction,
+    height_field_mesh,
+    rasterize,
+    write_dense,
+    write_depth_map,
+    write_geotiff,
+    write_mesh,
+    write_raster,
+)
+from torchrefrac.scene.raster_file import require_geotiff
+
+DENSE_CLOUD = "dense.ply"
+DENSE_VIEW, ERROR_MAP = "dense_view.png", "error_map.png"
+DENSE_RESULTS = (DENSE_CLOUD, "mesh.ply", "dsm.npz", "dsm.png", "dsm.tif", DENSE_VIEW, ERROR_MAP)
+DEPTH_MAPS = "dense"  # the folder of the depth maps
+PARTS = f"{DEPTH_MAPS}/parts"  # of what is finished while the stage is not
+
+
+@dataclass(frozen=True)
+class DenseOutputs:
+    """Files that the dense stage writes besides dense.ply and its pictures.
+
+    mesh: the surface as triangles; raster: heights on a grid, seen from above, in cells of raster_cell length units
+    (None: by the spacing of the points); depth_maps: what each image sees; geotiff: the raster for geographic
+    information systems, in the reference system `crs`, such as "EPSG:32633" (None: local coordinates).
+
+    Raises ValueError for a raster_cell that is no length, and where rasterio is missing or does not know `crs`.
+    """
+
+    mesh: bool = True
+    raster: bool = True
+    raster_cell: float | None = None
+    depth_maps: bool = True
+    geotiff: bool = False
+    crs: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.raster_cell is not None:
+            require(self.raster_cell, "raster_cell", above=0.0)
+        if self.crs is not None and not self.geotiff:
+            raise ValueError(f"crs is {self.crs!r}, but only a GeoTIFF has one: set geotiff to true")
+        if self.geotiff:
+            try:
+                require_geotiff(self.crs)
+            except ImportError as error:
+                raise ValueError(f"geotiff is true, but {error}") from None
+
+
+def write_dense_outputs(
+    dense: Dense,
+    reconstruction: Reconstruction,
+    options: DenseOptions,
+    outputs: DenseOutputs,
+    recorder: Recorder,
+    folder: Path,
+) -> None:
+    """Write dense.ply and the `outputs`. Raises DenseError where raster_cell is too small for the extent."""
+    write_dense(dense.cloud, folder / DENSE_CLOUD)
+    if outputs.raster or outputs.mesh or outputs.geotiff:
+        _write_surface(_raster_of(dense.cloud, outputs), outputs, folder)
+    if outputs.depth_maps:
+        _write_depth_maps(dense, reconstruction, options, recorder, folder / DEPTH_MAPS)
+
+
+def remove_dense_outputs(folder: Path) -> None:
+    """Remove what a dense stage has finished in a run folder; the parts of an unfinished one stay."""
+    for name in DENSE_RESULTS:
+        (folder / name).unlink(missing_ok=True)
+    maps = [path for end in ("npz", "png") for path in (folder / DEPTH_MAPS).rglob(f"*_depth.{end}")]
+    for path in maps:
+        path.unlink()
+    for place in sorted({place for path in maps for place in path.parents}, key=lambda p: -len(p.parts)):
+        if folder in place.parents:
+            remove_if_empty(place)
+
+
+def remove_if_empty(folder: Path) -> None:
+    """Remove a folder in which nothing lies."""
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+
+
+def depth_map_stems(names: Sequence[str]) -> dict[str, str]:
+    """For each image the path of its depth map, without "_depth" and ending: its name without its own ending, which it
+    keeps where another image has the same name but for that."""
+    stems = {name: str(Path(name).with_suffix("")) for name in names}
+    times = Counter(stems.values())
+    return {name: stem if times[stem] == 1 else name for name, stem in stems.items()}
+
+
+def _raster_of(cloud: DenseCloud, outputs: DenseOutputs) -> Raster:
+    try:
+        return rasterize(cloud, outputs.raster_cell)
+    except ValueError as error:
+        raise DenseError(f"outputs.raster_cell: {error}") from None
+
+
+def _write_surface(raster: Raster, outputs: DenseOutputs, folder: Path) -> None:
+    if outputs.raster:
+        write_raster(raster, folder)
+        draw_raster(raster, folder / "dsm.png")
+    if outputs.geotiff:
+        write_geotiff(raster, folder / "dsm.tif", outputs.crs)
+    if outputs.mesh:
+        write_mesh(height_field_mesh(raster), folder / "mesh.ply")
+
+
+def _write_depth_maps(
+    dense: Dense, reconstruction: Reconstruction, options: DenseOptions, recorder: Recorder, folder: Path
+) -> None:
+    stems, count = depth_map_stems(reconstruction.names), int(reconstruction.registered.sum())
+    for found in recorder.track(depth_maps(dense, reconstruction, options), count, "depth maps", "image"):
+        write_depth_map(found, folder / f"{stems[found.name]}_depth.npz")
+        draw_depth_map(found, folder / f"{stems[found.name]}_depth.png")
