@@ -13,13 +13,15 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
 from torchrefrac.bundle import UnadjustableError
-from torchrefrac.config import AdjustOptions, OptionError, Options, RunOptions, SceneOptions, build
+from torchrefrac.config import AdjustOptions, DensifyOptions, OptionError, Options, RunOptions, SceneOptions, build
+from torchrefrac.dense import DenseError
+from torchrefrac.densification import SparseRun, densify_run, open_run
 from torchrefrac.pipeline import ReconstructionError, run
 from torchrefrac.readjustment import readjust_run, require_apart
 from torchrefrac.report.comparison import compare
 from torchrefrac.report.recorders import Recorders
 from torchrefrac.report.run_folder import write_metrics
-from torchrefrac.report.summary import adjustment_lines, reconstruction_lines, summary
+from torchrefrac.report.summary import adjustment_lines, dense_lines, reconstruction_lines, summary
 from torchrefrac.report.tensorboard import TensorBoardRecorder
 from torchrefrac.report.terminal import TerminalRecorder
 from torchrefrac.scene import AlignmentError, Capture, CaptureError, SurveyError, load_capture
@@ -31,6 +33,7 @@ CONF = PACKAGED if PACKAGED.is_dir() else PACKAGED.parent.parent / "conf"
 EXPECTED = (
     AlignmentError,
     CaptureError,
+    DenseError,
     MissingMandatoryValue,
     NoInitialPairError,
     OptionError,
@@ -40,7 +43,7 @@ EXPECTED = (
     UnadjustableError,
 )
 INTERRUPTED = 130
-ADJUST = "adjust"
+ADJUST, DENSIFY = "adjust", "densify"
 
 _failed: list[str] = []
 
@@ -48,10 +51,12 @@ _failed: list[str] = []
 def main() -> None:
     """Run the command that is in sys.argv; exits with 1 where a job failed, 130 where it was interrupted."""
     _failed.clear()
-    command: Callable[[], None] = _hydra_main
-    if sys.argv[1:2] == [ADJUST]:
+    others: dict[str, Callable[[], None]] = {ADJUST: _hydra_adjust, DENSIFY: _hydra_densify}
+    command = others.get(sys.argv[1]) if len(sys.argv) > 1 else None
+    if command is None:
+        command = _hydra_main
+    else:
         sys.argv = [sys.argv[0], *sys.argv[2:]]  # what is left is Hydra's
-        command = _hydra_adjust
     try:
         command()
     except KeyboardInterrupt:
@@ -72,6 +77,12 @@ def adjust_options(config: DictConfig) -> AdjustOptions:
     """The typed options of a composed configuration of `torchrefrac adjust`."""
     values: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     return build(AdjustOptions, values)
+
+
+def densify_options(config: DictConfig) -> DensifyOptions:
+    """The typed options of a composed configuration of `torchrefrac densify`."""
+    values: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    return build(DensifyOptions, values)
 
 
 def scene_folder(scene: SceneOptions) -> Path:
@@ -125,11 +136,33 @@ def _hydra_adjust(config: DictConfig) -> None:
 
 def _adjust(options: AdjustOptions, config: DictConfig, folder: Path) -> None:
     print(f"{options.alignment}: adjusting anew, into {os.path.relpath(folder)}", file=sys.stderr)
-    (folder / ".hydra").mkdir(parents=True, exist_ok=True)
-    OmegaConf.save(config, folder / ".hydra" / "config.yaml", resolve=True)
+    _save(config, folder / ".hydra" / "config.yaml")
     with TensorBoardRecorder(folder / "events") as board:
         metrics = readjust_run(options, Recorders(TerminalRecorder(), board), folder)
     print(summary(adjustment_lines(metrics)))
+
+
+@hydra.main(version_base="1.3", config_path=str(CONF), config_name="densify")
+def _hydra_densify(config: DictConfig) -> None:
+    try:
+        options = densify_options(config)
+        _densify(open_run(Path(options.run), options.capture), options, config)
+    except EXPECTED as error:
+        _report(error)
+
+
+def _densify(run: SparseRun, options: DensifyOptions, config: DictConfig) -> None:
+    posed = int(run.reconstruction.registered.sum())
+    print(f"{options.run}: making {posed} images dense, method {options.dense.method}", file=sys.stderr)
+    _save(config, run.folder / ".hydra" / "densify.yaml")
+    with TensorBoardRecorder(run.folder / "events") as board:
+        metrics = densify_run(run, options, Recorders(TerminalRecorder(), board))
+    print(summary(dense_lines(metrics)))
+
+
+def _save(config: DictConfig, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    OmegaConf.save(config, path, resolve=True)
 
 
 def _report(error: Exception) -> str:
@@ -144,7 +177,7 @@ def _report(error: Exception) -> str:
 
 
 class CompareRuns(Callback):
-    """After a multirun, whatever it ran over: the paper's Table 1 and Figure 1."""
+    """After a multirun, whatever it ran over: the paper's Table 1 and Figure 1, also of dense surfaces."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         folder = Path(config.hydra.sweep.dir)
@@ -152,7 +185,7 @@ class CompareRuns(Callback):
         if not runs:
             return
         print(compare(runs, folder))
-        print(f"the table and its figure are in {os.path.relpath(folder)}")
+        print(f"the table and its figures are in {os.path.relpath(folder)}")
 
 
 def _job_order(run: Path) -> tuple[int, str]:

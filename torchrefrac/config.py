@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from torchrefrac.dense import DenseOptions
 from torchrefrac.features import MatchOptions, SiftOptions
 from torchrefrac.refraction import water_index
+from torchrefrac.report.dense_outputs import DenseOutputs
 from torchrefrac.scene.capture_file import MAX_INDEX_RATIO
 from torchrefrac.sfm import SfmOptions
 from torchrefrac.sfm.readjust import ReadjustOptions
@@ -61,13 +63,15 @@ class WaterOptions:
 
 @dataclass(frozen=True)
 class Options:
-    """Everything that decides how a capture is reconstructed."""
+    """Everything that decides how a capture is reconstructed, and what is written of its dense surface."""
 
     model: ModelOptions = field(default_factory=ModelOptions)
     water: WaterOptions = field(default_factory=WaterOptions)
     features: SiftOptions = field(default_factory=SiftOptions)
     matching: MatchOptions = field(default_factory=MatchOptions)
     sfm: SfmOptions = field(default_factory=SfmOptions)
+    dense: DenseOptions = field(default_factory=DenseOptions)
+    outputs: DenseOutputs = field(default_factory=DenseOutputs)
     seed: int = 0
 
 
@@ -86,6 +90,23 @@ class RunOptions:
     scene: SceneOptions
     reconstruction: Options
     out: str
+
+
+@dataclass(frozen=True)
+class DensifyOptions:
+    """A run folder from the command line, how to make it dense, and what to write.
+
+    capture: folder of the photographs, by default the one that the run's metrics.json names.
+    """
+
+    run: str
+    capture: str | None = None
+    dense: DenseOptions = field(default_factory=lambda: DenseOptions(method="patch"))
+    outputs: DenseOutputs = field(default_factory=DenseOutputs)
+
+    def __post_init__(self) -> None:
+        if self.dense.method == "none":
+            raise OptionError("dense.method is 'none', but must be patch or depthmap: none leaves the run as it is")
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import torch
 
 from torchrefrac.bundle.rows import LENS
 from torchrefrac.config import Options
+from torchrefrac.densification import dense_stage
 from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.report.metrics import evaluate, summarize
@@ -70,10 +71,11 @@ def reconstruct(
 
 
 def run(capture: Capture, options: Options, recorder: Recorder, folder: Path) -> dict[str, Any]:
-    """Reconstruct, evaluate where truth is at hand, and leave everything in `folder`. Returns the metrics.
+    """Reconstruct, make it dense where that is asked for, evaluate where truth is at hand, and leave everything in
+    `folder`. Returns the metrics.
 
     Each stage's files are written when it ends. When a stage fails or is interrupted, metrics.json says which, why, and
-    what was complete before.
+    what was complete before; the dense stage goes on with the images that were finished when the same is run again.
     """
     files = RunFolder(folder)
     with files.recording(model=options.model.name, capture=str(capture.folder.resolve()), **describe_gravity(capture)):
@@ -86,6 +88,8 @@ def run(capture: Capture, options: Options, recorder: Recorder, folder: Path) ->
             metrics |= measured
         files.complete(reconstruction, metrics, truth, aligned)
         recorder.cloud("sparse", reconstruction.points, reconstruction.colors, 0)
+        if options.dense.method != "none":
+            dense_stage(files, capture, reconstruction, options.dense, options.outputs, truth, aligned, recorder)
     return files.metrics
 
 

@@ -8,8 +8,8 @@ import pytest
 import torchrefrac
 
 PUBLIC = {
-    "Capture", "FlatInterface", "Intrinsics", "LearnableCamera", "Options", "Plane", "Reconstruction",
-    "RefractiveCamera", "from_kornia", "load_capture", "minimal", "reconstruct", "remove_refraction", "solve_refrax",
+    "Capture", "DenseCloud", "DenseOptions", "FlatInterface", "Intrinsics", "LearnableCamera", "Options", "Plane", "Reconstruction",
+    "RefractiveCamera", "densify", "from_kornia", "load_capture", "minimal", "patch_costs", "reconstruct", "remove_refraction", "solve_refrax",
     "to_kornia", "water_index",
 }  # fmt: skip
 

@@ -55,11 +55,10 @@ class Atlas:
     def levels(self) -> int:
         return self.offset.shape[1]
 
-    def part(self, image: int) -> tuple[Tensor, Tensor]:
-        """The part of an image (h, w) in its full size, and its corner (2)."""
-        x, y = (int(v) for v in self.offset[image, 0])
-        width, height = (int(v) for v in self.size[image, 0])
-        return self.sheet[0, 0, y : y + height, x : x + width], self.origin[image]
+    def copy(self, image: int, level: int = 0) -> Tensor:
+        """The copy (h, w) of an image's part."""
+        (x, y), (width, height) = self.offset[image, level].long().tolist(), self.size[image, level].long().tolist()
+        return self.sheet[0, 0, y : y + height, x : x + width]
 
     def contains(self, image: Tensor, level: Tensor, pixels: Tensor) -> Tensor:
         """Whether all of pixels (P, K, 2) of images (P) lie in their copies (P), half a pixel from the border: (P)."""

@@ -82,7 +82,8 @@ def _collect(
     height, width = images.size
     cells = (height // options.cell) * (width // options.cell)
     known: list[Patches] = [Patches.empty(options.views)]
-    made, start = 0, time.perf_counter()
+    made, start, home = 0, time.perf_counter(), torch.device("cpu")
+    estimator = ESTIMATORS[options.method]
     with recorder.meter(len(order) * cells, "densifying", "cell") as advance:
         for step, image in enumerate(order):
             done = store.load(image)
@@ -92,9 +93,9 @@ def _collect(
                 continue
             told, parts = 0, [Patches.empty(options.views)]
             for scope in scopes(image, hoods[image], reconstruction.cameras, images, options):
-                estimator = ESTIMATORS[options.method]
-                for patches, filled in estimator(scope, Patches.together([*known, *parts]), reconstruction, options):
-                    parts.append(patches.padded(options.views))
+                before = Patches.together([*known, *parts]).to(scope.device)
+                for patches, filled in estimator(scope, before, reconstruction, options):
+                    parts.append(patches.padded(options.views).to(home))
                     made, told = made + len(patches), told + filled
                     advance(filled, f"{made / (time.perf_counter() - start):.0f} patches/s")
             advance(max(cells - told, 0), "")

@@ -40,10 +40,16 @@ def grow_patches(
 def sweep_planes(
     scope: Scope, known: Patches, reconstruction: Reconstruction, options: DenseOptions
 ) -> Iterator[tuple[Patches, int]]:
-    """Every cell, from a plane sweep over all distances; independent of all other images."""
+    """Every cell, from a plane sweep over all distances; independent of all other images.
+
+    Cells that have a patch already, from an earlier tile of the image, get no second one."""
     cells = Cells(scope, options.cell)
+    mine = known[known.reference == int(scope.ids[0])]
+    at, inside = cells.index(mine.pixels)
+    cells.fill(at[inside], mine.points[inside], mine.normals[inside], mine.score[inside])
+    cells.newly_filled()
     pixels, planes, _ = sweep(scope, options)
     at, inside = cells.index(pixels)
     for first in range(0, len(at), STEP):
         rows = slice(first, first + STEP)
-        yield begin(scope, cells, at[rows], planes[rows], options, start_level=1), cells.newly_filled()
+        yield begin(scope, cells, at[rows], planes[rows], options, start_level=0), cells.newly_filled()

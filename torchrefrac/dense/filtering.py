@@ -18,7 +18,7 @@ def supported(patches: Patches, cell: int) -> Tensor:
     """Which patches (N) lie on the planes of most of their neighbours, and these on theirs."""
     count = len(patches)
     if count <= NEAREST:
-        return torch.ones(count, dtype=torch.bool)
+        return torch.ones_like(patches.score, dtype=torch.bool)
     points = patches.points.numpy()
     distance, index = cKDTree(points).query(points, k=NEAREST + 1, workers=1)
     near = torch.from_numpy(distance[:, 1:]) < REACH * cell * patches.footprint[:, None]
@@ -37,7 +37,7 @@ def unobstructing(patches: Patches, cameras: RefractiveCamera, cell: int) -> Ten
     cameras (m). In every image a patch falls into a cell. Patches that are seen there beyond it speak against it with
     their scores, those at its own distance for it, and it speaks for itself in every image that sees it.
     """
-    against = torch.zeros(len(patches), dtype=torch.float64)
+    against = torch.zeros_like(patches.score)
     favour = patches.score * patches.views
     for image in range(cameras.shape[0]):
         seen = (patches.reference == image) | ((patches.others == image) & patches.visible).any(dim=1)

@@ -24,6 +24,7 @@ def fuse(patches: Patches, cameras: RefractiveCamera, cell: int, min_maps: int) 
         weight = patches.sigma[rows].square().reciprocal()
         total, moved = weight.clone(), torch.zeros_like(weight)
         maps = torch.ones_like(rows)
+        found = []
         for other in range(cameras.shape[0]):
             if other == image:
                 continue
@@ -32,9 +33,10 @@ def fuse(patches: Patches, cameras: RefractiveCamera, cell: int, min_maps: int) 
             total += share
             moved += share * offset
             maps += agrees
-            taken[match[agrees]] = True
+            found.append((match, agrees))
         good = maps >= min_maps
-        taken[rows[good]] = True
+        for match, agrees in found:
+            taken[match[agrees & good]] = True
         kept.append(rows[good])
         points.append(patches.points[rows[good]] + (moved / total)[good, None] * patches.normals[rows[good]])
     return patches[torch.cat(kept)].moved_to(torch.cat(points))

@@ -27,15 +27,16 @@ class Cells:
         self.rows, self.columns = centers.shape[:2]
         self.pixels = centers.reshape(-1, 2)
         count = len(self.pixels)
-        self.origin = torch.tensor(scope.tile[:2]) // cell
+        device = scope.device
+        self.origin = torch.tensor(scope.tile[:2], device=device) // cell
         self.cell = cell
         self._told = 0
-        self.filled = torch.zeros(count, dtype=torch.bool)
-        self.score = torch.full((count,), -1.0, dtype=torch.float64)
-        self.points = torch.zeros(count, 3, dtype=torch.float64)
-        self.normals = torch.zeros(count, 3, dtype=torch.float64)
-        self.tries = torch.zeros(count, dtype=torch.long)
-        self.tried_score = torch.full((count,), -1.0, dtype=torch.float64)  # the best plane that has failed here
+        self.filled = torch.zeros(count, dtype=torch.bool, device=device)
+        self.score = torch.full((count,), -1.0, dtype=torch.float64, device=device)
+        self.points = torch.zeros(count, 3, dtype=torch.float64, device=device)
+        self.normals = torch.zeros(count, 3, dtype=torch.float64, device=device)
+        self.tries = torch.zeros(count, dtype=torch.long, device=device)
+        self.tried_score = torch.full((count,), -1.0, dtype=torch.float64, device=device)  # the best plane that has failed here
 
     def index(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
         """Cells (N) that pixels (N, 2) lie in, and which lie in one (N)."""
@@ -47,11 +48,14 @@ class Cells:
     def fill(self, cells: Tensor, points: Tensor, normals: Tensor, score: Tensor) -> None:
         """Where several planes (k) come to one cell, the best stays."""
         order = score.argsort(stable=True)
-        cells, points, normals, score = cells[order], points[order], normals[order], score[order]
-        better = score > self.score[cells]
-        cells = cells[better]
-        self.points[cells], self.normals[cells] = points[better], normals[better]
-        self.score[cells], self.filled[cells] = score[better], True
+        order = order[cells[order].argsort(stable=True)]
+        best = torch.ones_like(order, dtype=torch.bool)
+        best[:-1] = cells[order[1:]] != cells[order[:-1]]
+        rows = order[best]
+        rows = rows[score[rows] > self.score[cells[rows]]]
+        at = cells[rows]
+        self.points[at], self.normals[at] = points[rows], normals[rows]
+        self.score[at], self.filled[at] = score[rows], True
 
     def newly_filled(self) -> int:
         """How many have been filled since this was last asked."""
@@ -67,7 +71,7 @@ class Cells:
         padded = torch.nn.functional.pad(score[None, None], (1, 1, 1, 1), value=-1.0)[0, 0]
         best = torch.full_like(score, -1.0)
         source = torch.zeros_like(score, dtype=torch.long)
-        here = torch.arange(len(self.score)).view(self.rows, self.columns)
+        here = torch.arange(len(self.score), device=score.device).view(self.rows, self.columns)
         for down, right in AROUND:
             there = padded[1 + down : 1 + down + self.rows, 1 + right : 1 + right + self.columns]
             better = there > best

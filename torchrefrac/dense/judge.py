@@ -13,6 +13,8 @@ from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.window import CORNERS, Window
 from torchrefrac.optim.batched import covariance_of
 
+SYSTEMATIC = 0.03  # pixels: what interpolation and poses leave however good the texture is
+
 
 def judge(
     scope: Scope,
@@ -32,13 +34,14 @@ def judge(
     visible = agreement.usable & (agreement.zncc >= options.min_score)
     count = visible.sum(dim=1)
     score = (torch.where(visible, agreement.zncc, 0.0).sum(dim=1) / count.clamp(min=1)).to(states)
-    sigma, determined = _sigma(agreement, visible, score, contrast.to(states), comparison.window, options)
+    motion = torch.where(visible, agreement.motion, 0.0).amax(dim=1)
+    photometric, determined = _sigma(agreement, visible, score, contrast.to(states), comparison.window, options)
+    sigma = torch.hypot(photometric, SYSTEMATIC / motion.clamp(min=torch.finfo(motion.dtype).tiny))
     corners = comparison.corners(states)
     middle, normal = plane_through(corners)
     distance = rays.meet(middle, normal)
     sight = rays.direction_at(distance)
     facing = -(normal * sight).sum(dim=-1)
-    motion = torch.where(visible, agreement.motion, 0.0).amax(dim=1)
     good = (
         determined
         & (count >= fewest_others(scope, options))
@@ -75,7 +78,7 @@ def plane_through(corners: Tensor) -> tuple[Tensor, Tensor]:
 def _sigma(
     agreement: Agreement, visible: Tensor, score: Tensor, contrast: Tensor, window: Window, options: DenseOptions
 ) -> tuple[Tensor, Tensor]:
-    """Standard deviation of the distances (k), and where the images determine all three numbers of a patch (k).
+    """Standard deviation of the distances (k) from noise, and where the images determine all three numbers of a patch (k).
 
     The variance of the residuals f^ - g^, each sample's, is what is left of them, but at least what `noise` grey levels
     in both windows make.

@@ -33,16 +33,19 @@ class DenseOptions:
     cell: one patch at most in every cell x cell pixels. window: of the patches, odd. interpolation of the other images.
     views: with how many others at most a patch is compared, of `neighbours` that its image has; min_views must agree
     (the reference included; two where there are only two images) to min_score, as zero-normalised cross-correlation.
-    angle_best and angle_max: between the rays of two images. max_slant: of a patch against the viewing ray. min_contrast:
-    a window's standard deviation; noise: the least that is assumed of an image. max_sigma: of a patch along its ray, as
+    angle_best and angle_max: between the rays of two images. max_slant: of a patch against the viewing ray.
+    min_contrast: a window's standard deviation; noise: the least that is assumed of an image. max_sigma: of a patch along its ray, as
     the shift that it makes in the other images. loss_scale: of 1 - ZNCC, where an image begins to count less.
+    levels: sizes of each image, every one half of the one before. iterations: of a patch's adjustment.
     batch: patches refined at once. max_tile: pixels across of what is worked on at once, for large images.
+
+    Raises ValueError for values that cannot be right.
     """
 
     method: Method = "none"
     cell: int = 3
     window: int = 7
-    interpolation: Literal["bilinear", "bicubic"] = "bilinear"
+    interpolation: Literal["bilinear", "bicubic"] = "bicubic"
     views: int = 5
     neighbours: int = 10
     min_views: int = 3
@@ -58,6 +61,7 @@ class DenseOptions:
     iterations: int = 8
     batch: int = 2048
     max_tile: int = 2048
+    device: str = "cpu"
     sweep: SweepOptions = field(default_factory=SweepOptions)
 
     def __post_init__(self) -> None:
@@ -77,7 +81,9 @@ class DenseOptions:
             raise ValueError(f"angle_best is {self.angle_best:g}, but must be below angle_max, {self.angle_max:g}")
         require(self.max_slant, "max_slant", above=0.0)
         if self.max_slant >= 90.0:
-            raise ValueError(f"max_slant is {self.max_slant:g}, but must be below 90 degrees: a patch has to face the ray")
+            raise ValueError(
+                f"max_slant is {self.max_slant:g}, but must be below 90 degrees: a patch has to face the ray"
+            )
         require(self.min_contrast, "min_contrast", at_least=0.0)
         require(self.iterations, "iterations", at_least=0)
         if self.method == "depthmap" and self.levels <= max(self.sweep.level, 1):

@@ -44,14 +44,20 @@ class Patches:
         pad = torch.nn.functional.pad
         return replace(self, others=pad(self.others, (0, more)), visible=pad(self.visible, (0, more), value=False))
 
+    def to(self, device: torch.device) -> "Patches":
+        """The same on another device."""
+        return Patches(*(getattr(self, f.name).to(device) for f in fields(self)))
+
     @property
     def views(self) -> Tensor:
         """How many images agree (N), the reference included."""
         return 1 + self.visible.sum(dim=1)
 
     @classmethod
-    def empty(cls, views: int) -> "Patches":
-        counts, numbers = torch.zeros(0, dtype=torch.long), torch.zeros(0, dtype=torch.float64)
+    def empty(cls, views: int, device: torch.device | None = None) -> "Patches":
+        """None, compared with so many others."""
+        counts = torch.zeros(0, dtype=torch.long, device=device)
+        numbers = torch.zeros(0, dtype=torch.float64, device=device)
         vectors, table = numbers.view(0, 1).expand(0, 3), counts.view(0, 1).expand(0, views)
         return cls(counts, vectors[:, :2], vectors, vectors, numbers, numbers, numbers, table, table > 0)
 

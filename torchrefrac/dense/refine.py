@@ -58,7 +58,8 @@ def refine(
     Returns those that are to be believed and which of the N they are. start_level: first adjust in copies halved so
     many times, for guesses that are off by several pixels.
     """
-    parts, kept = [Patches.empty(min(options.views, scope.others))], [torch.zeros(0, dtype=torch.long)]
+    parts = [Patches.empty(min(options.views, scope.others), scope.device)]
+    kept = [torch.zeros(0, dtype=torch.long, device=scope.device)]
     for first in range(0, len(pixels), options.batch):
         batch = slice(first, first + options.batch)
         subjects, rows = _choose(scope, pixels[batch], planes[batch], options)
@@ -75,7 +76,7 @@ def choose_views(scope: Scope, points: Tensor, options: DenseOptions) -> tuple[T
     One that sees the point within its image, at an angle near the best.
     """
     cameras = scope.cameras
-    local = torch.arange(1, 1 + scope.others)
+    local = torch.arange(1, 1 + scope.others, device=scope.device)
     pixels, seen = cameras[1:, None].project(points)
     seen = seen & scope.is_allowed(local[:, None].expand(seen.shape), pixels)
     angle = angle_between(cameras.center_in_world[1:, None], cameras.center_in_world[0], points)
@@ -86,7 +87,7 @@ def choose_views(scope: Scope, points: Tensor, options: DenseOptions) -> tuple[T
 
 def _choose(scope: Scope, pixels: Tensor, planes: Planes, options: DenseOptions) -> tuple[Subjects, Tensor]:
     """Those of the N guesses that can be compared, with what is needed for it, and which of the N they are."""
-    here = torch.zeros(len(pixels), dtype=torch.long)
+    here = torch.zeros(len(pixels), dtype=torch.long, device=scope.device)
     reference, contrast = unit_windows(scope.atlas, here, here, pixels, Window(options.window))
     rays = PixelRays.cast(scope.cameras[0], pixels)
     distance = rays.meet(planes.points, planes.normals)
@@ -133,5 +134,5 @@ def _adjust(scope: Scope, subjects: Subjects, options: DenseOptions, start_level
 
 
 def _windows_at(scope: Scope, pixels: Tensor, level: int, window: Window) -> Tensor:
-    here = torch.zeros(len(pixels), dtype=torch.long)
+    here = torch.zeros(len(pixels), dtype=torch.long, device=scope.device)
     return unit_windows(scope.atlas, here, torch.full_like(here, level), pixels, window)[0]

@@ -28,6 +28,10 @@ class Scope:
     tile: tuple[int, int, int, int]
 
     @property
+    def device(self) -> torch.device:
+        return self.atlas.sheet.device
+
+    @property
     def others(self) -> int:
         return len(self.ids) - 1
 
@@ -48,7 +52,7 @@ class Scope:
         even.
         """
         left, top, right, bottom = self.tile
-        columns = torch.arange(left // cell, right // cell, dtype=torch.float64)
-        rows = torch.arange(top // cell, bottom // cell, dtype=torch.float64)
+        columns = torch.arange(left // cell, right // cell, dtype=torch.float64, device=self.device)
+        rows = torch.arange(top // cell, bottom // cell, dtype=torch.float64, device=self.device)
         y, x = torch.meshgrid((rows + 0.5) * cell, (columns + 0.5) * cell, indexing="ij")
         return torch.stack((x, y), dim=-1)

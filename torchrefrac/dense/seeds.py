@@ -42,8 +42,8 @@ def cover(scope: Scope, cells: Cells, known: Patches, options: DenseOptions) -> 
 def sparse_seeds(scope: Scope, cells: Cells, reconstruction: Reconstruction, options: DenseOptions) -> Patches:
     """Patches at the sparse points that the reference observes, where their cell is empty."""
     observed = reconstruction.image == int(scope.ids[0])
-    points = reconstruction.points[reconstruction.point[observed]]
-    at, inside = cells.index(reconstruction.pixels[observed])
+    points = reconstruction.points[reconstruction.point[observed]].to(scope.device)
+    at, inside = cells.index(reconstruction.pixels[observed].to(scope.device))
     facing = scope.cameras[0].center_in_world - points
     return begin(scope, cells, at[inside], Planes(points[inside], facing[inside]), options)
 
@@ -57,7 +57,7 @@ def matched_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Patches:
     at, inside = cells.index(ours.pixels)
     rows = (inside & ~cells.filled[at]).nonzero()[:, 0]
     rays = PixelRays.cast(scope.cameras[0], ours.pixels[rows])
-    near, far = (torch.full((len(rows),), bound, dtype=torch.float64) for bound in (scope.near, scope.far))
+    near, far = (rays.origin.new_full((len(rows),), bound) for bound in (scope.near, scope.far))
     point, distance = [], []
     for other in range(1, 1 + min(MATCHED_IMAGES, scope.others)):
         theirs = _interest_points(scope, other)
@@ -96,8 +96,7 @@ def first_of_each(cells: Tensor, wanted: Tensor) -> Tensor:
 
 def _interest_points(scope: Scope, image: int) -> InterestPoints:
     """Those of a local image, or of the part of it that the scope has."""
-    part, origin = scope.atlas.part(image)
-    found = detect_interest_points(part, per_cell=1)
-    pixels = found.pixels + origin
-    allowed = scope.is_allowed(torch.full((len(pixels),), image), pixels)
+    found = detect_interest_points(scope.atlas.copy(image), per_cell=1)
+    pixels = found.pixels + scope.atlas.origin[image]
+    allowed = scope.is_allowed(torch.full((len(pixels),), image, device=pixels.device), pixels)
     return InterestPoints(pixels[allowed], found.kind[allowed])

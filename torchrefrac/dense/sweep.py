@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
+from torchrefrac.dense.judge import fewest_others
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.refine import Planes
@@ -23,6 +24,7 @@ IMAGES = 6  # others that are looked into at most
 PROBES = 9  # rays each way that tell how far the distances are to be apart
 STEP = 1.0  # pixels of the copies that something moves from one distance to the next
 MOST = 0.75  # of what is seen moves by less than that
+FEWEST = 6  # distances of the narrowest range: best between them, not at its ends
 AHEAD = 32  # distances projected at once
 
 
@@ -35,26 +37,22 @@ def sweep(scope: Scope, options: DenseOptions) -> tuple[Tensor, Planes, Tensor]:
     distance.
     """
     lattice = Lattice.of(scope, options)
-    others = scope.cameras[1 : 1 + min(scope.others, max(IMAGES, _fewest(scope, options)))]
+    others = scope.cameras[1 : 1 + min(scope.others, max(IMAGES, fewest_others(scope, options)))]
     distances = _distances(scope, others, lattice, options)
     if len(distances) < 3 or min(lattice.width, lattice.height) <= 2 * lattice.radius:
-        nothing = torch.zeros(0, 3, dtype=torch.float64)
+        nothing = torch.zeros(0, 3, dtype=torch.float64, device=scope.device)
         return nothing[:, :2], Planes(nothing, nothing), nothing[:, 0]
     step, score = _best_steps(scope, others, lattice, distances, options)
     step[score < options.sweep.min_score] = math.nan
     return _guesses(scope, lattice, distances, *fit_planes(step, score), options)
 
 
-def _fewest(scope: Scope, options: DenseOptions) -> int:
-    """Other images that must see a point."""
-    return max(1, min(options.min_views - 1, scope.others))
-
-
 def _distances(scope: Scope, others: RefractiveCamera, lattice: Lattice, options: DenseOptions) -> Tensor:
-    """Distances (n) between which things move by `STEP` in the other images; by more where that would be too many."""
+    """Distances (n) between which things move by `STEP` in the other images; by more where that would be too many, by
+    less where too few."""
     columns, rows = (torch.linspace(0.0, n - 1.0, PROBES, dtype=torch.float64) for n in (lattice.width, lattice.height))
     rays = PixelRays.cast(scope.cameras[0], lattice.pixels(columns, rows).view(-1, 2))
-    fine = torch.linspace(scope.near, scope.far, 2 * options.sweep.planes, dtype=torch.float64)
+    fine = torch.linspace(scope.near, scope.far, 2 * options.sweep.planes, dtype=torch.float64, device=scope.device)
     points = rays.at(fine[:, None])
     pixels, seen = others[:, None, None].project(points, inside_image=True)
     seen = seen & _ahead(scope.cameras[0], rays, points)
@@ -62,15 +60,16 @@ def _distances(scope: Scope, others: RefractiveCamera, lattice: Lattice, options
     move = move.transpose(0, 1).flatten(1).nanquantile(MOST, dim=1).nan_to_num(0.0) / 2**lattice.level
     path = torch.cat((move.new_zeros(1), move.cumsum(dim=0)))
     length = float(path[-1])
-    count = min(options.sweep.planes, math.ceil(length / STEP) + 1)
-    return _interpolate(torch.linspace(0.0, length, count, dtype=torch.float64), path, fine)
+    least = FEWEST if length > 0.0 else 1
+    count = min(options.sweep.planes, max(math.ceil(length / STEP) + 1, least))
+    return _interpolate(torch.linspace(0.0, length, count, dtype=torch.float64, device=scope.device), path, fine)
 
 
 def _best_steps(
     scope: Scope, others: RefractiveCamera, lattice: Lattice, distances: Tensor, options: DenseOptions
 ) -> tuple[Tensor, Tensor]:
     """Which distance is best for each lattice pixel (r, c), as a fraction between two, and its score (r, c)."""
-    radius, size, fewest = lattice.radius, 2 * lattice.radius + 1, _fewest(scope, options)
+    radius, size, fewest = lattice.radius, 2 * lattice.radius + 1, fewest_others(scope, options)
     f = lattice.grey_of(scope)
     mean_f = box(f, size)
     var_f = (box(f * f, size) - mean_f.square()).clamp(min=0.0)
@@ -114,7 +113,7 @@ def _guesses(
     column, row = nearest.long().unbind(dim=-1)
     plane, score = plane.double(), score[row, column].double()
     step = plane[0, row, column] + (plane[1:, row, column].T * (at - nearest)).sum(dim=-1)
-    allowed = scope.is_allowed(torch.zeros(len(pixels), dtype=torch.long), pixels)
+    allowed = scope.is_allowed(torch.zeros(len(pixels), dtype=torch.long, device=scope.device), pixels)
     good = ((score > LOWEST) & (step >= 0.0) & (step <= len(distances) - 1) & allowed).nonzero()[:, 0]
     pixels, step, column, row = pixels[good], step[good], column[good], row[good]
     points = PixelRays.cast(scope.cameras[0], pixels).at(_distance_of(step, distances))
@@ -136,7 +135,7 @@ def _normals(scope: Scope, lattice: Lattice, distances: Tensor, plane: Tensor) -
 
 
 def _distance_of(step: Tensor, distances: Tensor) -> Tensor:
-    return _interpolate(step, torch.arange(len(distances), dtype=step.dtype), distances)
+    return _interpolate(step, torch.arange(len(distances), dtype=step.dtype, device=step.device), distances)
 
 
 def _interpolate(at: Tensor, x: Tensor, y: Tensor) -> Tensor:

@@ -33,7 +33,7 @@ class Lattice(NamedTuple):
         """All that the scope's tile needs, as far as the copy has it."""
         level, radius = min(options.sweep.level, scope.atlas.levels - 1), options.sweep.window // 2
         origin, size = scope.atlas.origin[0].double(), scope.atlas.size[0, level].long()
-        corners = (torch.tensor(scope.tile).view(2, 2) - origin) / 2**level
+        corners = (torch.tensor(scope.tile, device=scope.device).view(2, 2) - origin) / 2**level
         first = (corners[0].floor().long() - radius - REACH).clamp(min=0)
         extent = (size.minimum(corners[1].ceil().long() + radius + REACH) - first).clamp(min=0)
         (left, top), (width, height) = first.tolist(), extent.tolist()
@@ -41,7 +41,7 @@ class Lattice(NamedTuple):
 
     def pixels(self, columns: Tensor, rows: Tensor) -> Tensor:
         """Image pixels (r, c, 2) of lattice columns (c) and rows (r), which need not be whole numbers."""
-        y, x = torch.meshgrid(self.top + rows, self.left + columns, indexing="ij")
+        y, x = torch.meshgrid(self.top + rows.to(self.origin), self.left + columns.to(self.origin), indexing="ij")
         return self.origin + 2**self.level * (torch.stack((x, y), dim=-1) + 0.5)
 
     def locate(self, pixels: Tensor) -> Tensor:
@@ -60,7 +60,7 @@ class Lattice(NamedTuple):
 
     def grey_of(self, scope: Scope) -> Tensor:
         """The reference's grey values (height, width), about zero."""
-        copy = _copy_of(scope, 0, self.level)[self.top :, self.left :][: self.height, : self.width]
+        copy = scope.atlas.copy(0, self.level)[self.top :, self.left :][: self.height, : self.width]
         return copy - copy.mean()
 
 
@@ -85,7 +85,7 @@ class Copies(NamedTuple):
         width, height = size.amax(dim=0).long().tolist()
         images = atlas.sheet.new_zeros(count, 1 if scope.allowed is None else 2, height, width)
         for image, canvas in enumerate(images, start=1):
-            grey = _copy_of(scope, image, lattice.level)
+            grey = scope.atlas.copy(image, lattice.level)
             canvas[0, : grey.shape[0], : grey.shape[1]] = grey - grey.mean()
             if scope.allowed is not None:
                 canvas[1, : grey.shape[0], : grey.shape[1]] = _allowed(scope, image, lattice.level, grey.shape)
@@ -116,15 +116,8 @@ def _nodes(count: int) -> tuple[Tensor, Tensor]:
     return nodes, (1.0 - apart).clamp(min=0.0)
 
 
-def _copy_of(scope: Scope, image: int, level: int) -> Tensor:
-    """The copy (h, w) of a local image."""
-    x, y = scope.atlas.offset[image, level].long().tolist()
-    width, height = scope.atlas.size[image, level].long().tolist()
-    return scope.atlas.sheet[0, 0, y : y + height, x : x + width]
-
-
 def _allowed(scope: Scope, image: int, level: int, shape: torch.Size) -> Tensor:
     """Which pixels (h, w) of a copy have their middles where the mask allows it."""
-    y, x = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) + 0.5 for n in shape), indexing="ij")
+    y, x = torch.meshgrid(*(torch.arange(n, dtype=torch.float64, device=scope.device) + 0.5 for n in shape), indexing="ij")
     pixels = scope.atlas.origin[image] + 2**level * torch.stack((x, y), dim=-1)
-    return scope.is_allowed(torch.full(pixels.shape[:-1], image), pixels)
+    return scope.is_allowed(torch.full(pixels.shape[:-1], image, device=scope.device), pixels)

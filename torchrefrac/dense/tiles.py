@@ -22,7 +22,7 @@ def scopes(
     image: int, hood: Neighbourhood, cameras: RefractiveCamera, images: Images, options: DenseOptions
 ) -> Iterator[Scope]:
     """The scopes of all tiles of one image; one for the whole where it is small enough. cameras (m)."""
-    ids = torch.cat((torch.tensor([image]), hood.others))
+    ids, device = torch.cat((torch.tensor([image]), hood.others)), torch.device(options.device)
     height, width = images.size
     whole = max(width, height) <= options.max_tile
     for tile in _tiles(width, height, options):
@@ -34,15 +34,15 @@ def scopes(
         there, local = ids[seen], local[seen]
         parts = [box for box, is_seen in zip(boxes, seen.tolist(), strict=True) if is_seen]
         greys = [
-            images.grey(int(i))[top:bottom, left:right].float()
+            images.grey(int(i))[top:bottom, left:right].to(device).float()
             for i, (left, top, right, bottom) in zip(there, parts, strict=True)
         ]
         origin = torch.tensor([box[:2] for box in parts], dtype=torch.float64)
         yield Scope(
-            ids=there,
-            cameras=local,
+            ids=there.to(device),
+            cameras=local.to(device=device),
             atlas=Atlas.build(greys, options.levels, origin, options.interpolation),
-            allowed=torch.stack([images.allowed(int(i)) for i in there]) if images.has_masks else None,
+            allowed=torch.stack([images.allowed(int(i)) for i in there]).to(device) if images.has_masks else None,
             near=hood.near,
             far=hood.far,
             tile=tile,

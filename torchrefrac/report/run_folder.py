@@ -119,8 +119,10 @@ def describe_gravity(capture: Capture) -> dict[str, Any]:
 
 
 def read_metrics(folder: Path) -> dict[str, Any]:
-    """Read `folder`/metrics.json; without one nothing is known but that no stage is complete. Raises AlignmentError where
-    it is damaged."""
+    """Read `folder`/metrics.json; without one nothing is known, and no stage complete.
+
+    Raises AlignmentError where it is damaged.
+    """
     path = folder / "metrics.json"
     if not path.is_file():
         return {"stages": []}

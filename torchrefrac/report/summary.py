@@ -4,6 +4,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
+from torchrefrac.report.dense_metrics import TYPICAL
 from torchrefrac.report.terminal import WIDTH
 
 LEFT_OUT = {
@@ -72,4 +73,27 @@ def reconstruction_lines(metrics: dict[str, Any]) -> list[str]:
     if "index_ratio_sigma" in metrics:
         lines.append(f"index ratio {metrics['index_ratio']:.4f} +- {metrics['index_ratio_sigma']:.2g}")
     lines += [f"not refined: {sentence}" for sentence in metrics.get("held", {}).values()]
-    return lines + _against_truth(metrics)
+    return lines + _against_truth(metrics) + (dense_lines(metrics) if "dense_points" in metrics else [])
+
+
+def dense_lines(metrics: dict[str, Any]) -> list[str]:
+    """Of a dense stage, from the metrics of its run."""
+    speed = f" ({metrics['dense_patches_per_s']:.0f} patches/s)" if "dense_patches_per_s" in metrics else ""
+    again = metrics.get("dense_images_resumed")
+    resumed = f", {again} {'image' if again == 1 else 'images'} of which were finished before" if again else ""
+    lines = [
+        f"dense ({metrics['dense_method']}): {metrics['dense_points']} points in {metrics['seconds_dense']:.1f} s"
+        f"{speed}{resumed}, each in {metrics['dense_views_median']:.0f} images (median), score "
+        f"{metrics['dense_score_median']:.3f}"
+    ]
+    key = next((key for key in metrics if key.startswith("dense_surface_median_")), None)
+    if key is None:
+        return lines
+    unit = key.removeprefix("dense_surface_median_")
+    near = f"{TYPICAL:g}_{unit}"
+    line = f"dense against truth: {100.0 * metrics[f'dense_accuracy_within_{near}']:.1f} % of the points within "
+    line += f"{TYPICAL:g} {unit} of the surface"
+    if f"dense_completeness_within_{near}" in metrics:
+        line += f", {100.0 * metrics[f'dense_completeness_within_{near}']:.1f} % of the textured surface found"
+    line += f", {metrics[f'dense_plane_rms_{unit}']:.4f} {unit} RMS from its planes"
+    return [*lines, f"{line} ({100.0 * metrics['dense_plane_inliers']:.0f} % inliers)"]

@@ -30,8 +30,16 @@ class DenseCloud:
 
     def __getitem__(self, rows: Tensor) -> "DenseCloud":
         """Some of the points, by a mask (n) or indices."""
-        columns = (self.points, self.normals, self.colors, self.sigma, self.score, self.views, self.reference)
-        return DenseCloud(*(column[rows] for column in columns), self.length_unit)
+        return DenseCloud(
+            self.points[rows],
+            self.normals[rows],
+            self.colors[rows],
+            self.sigma[rows],
+            self.score[rows],
+            self.views[rows],
+            self.reference[rows],
+            self.length_unit,
+        )
 
     @classmethod
     def empty(cls, length_unit: str) -> "DenseCloud":
@@ -44,9 +52,9 @@ class DenseCloud:
 class DepthMap:
     """What one image sees of the surface, on a grid of h x w cells of `step` x `step` pixels.
 
-    Where valid (h, w): points (h, w, 3) in the world frame, at the cell's centre, pixel (step (j + 1/2), step (i + 1/2))
-    of row i and column j; depth (h, w): their z in the camera's frame, the ordinary depth (not the apparent one); sigma
-    (h, w) along the viewing ray. In length_unit; zero where not valid.
+    Where valid (h, w): points (h, w, 3) in the world frame, at the cell's centre, of row i and column j the pixel
+    (step (j + 1/2), step (i + 1/2)); depth (h, w): their z in the camera's frame, the ordinary depth (not the apparent
+    one); sigma (h, w) along the viewing ray. In length_unit; zero where not valid.
     """
 
     name: str

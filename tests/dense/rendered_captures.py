@@ -1,0 +1,70 @@
+"""Rendered photographs as files, with the sparse reconstruction that a dense one begins with."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import torch
+from rendered_scenes import Rendered
+from torch import Tensor
+
+from torchrefrac.dense.images import Images
+from torchrefrac.scene import Capture, Reconstruction
+
+EVERY = 12  # pixels from one sparse point to the next
+
+
+def write_capture(rendered: Rendered, folder: Path, names: Sequence[str] = ()) -> Capture:
+    """The images as 8-bit PNG files under folder/images, or as `names`."""
+    count = len(rendered.images)
+    names = tuple(names) or tuple(f"{i}.png" for i in range(count))
+    paths = tuple(folder / "images" / name for name in names)
+    for path, image in zip(paths, rendered.images, strict=True):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        assert cv2.imwrite(str(path), image.round().clamp(0, 255).byte().numpy())
+    return Capture(
+        folder=folder,
+        names=names,
+        paths=paths,
+        intrinsics=rendered.cameras.intrinsics,
+        index_ratio=rendered.cameras.interface.index_ratio,
+        down_in_cam=-rendered.cameras.cam_from_world_rotation[:, :, 2],
+        down_sigma=0.0,
+        height=torch.zeros(count, dtype=torch.float64),
+        has_height=torch.zeros(count, dtype=torch.bool),
+        length_unit="cm",
+    )
+
+
+def write_mask(capture: Capture, name: str, allowed: Tensor) -> None:
+    """masks/NAME: white where allowed (h, w), black elsewhere."""
+    path = capture.folder / "masks" / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), (allowed.byte() * 255).numpy())
+
+
+def images_of(rendered: Rendered, folder: Path) -> Images:
+    return Images(write_capture(rendered, folder))
+
+
+def sparse_reconstruction(rendered: Rendered, every: int = EVERY) -> Reconstruction:
+    """True poses; as points, what every twelfth pixel of every image shows, observed by all images that hold it."""
+    step = slice(every // 2, None, every)
+    points = rendered.points[:, step, step].reshape(-1, 3)
+    pixels, seen = rendered.cameras[:, None].project(points, inside_image=True)
+    point, image = seen.T.nonzero().unbind(dim=-1)
+    count = len(rendered.images)
+    return Reconstruction(
+        names=tuple(f"{i}.png" for i in range(count)),
+        registered=torch.ones(count, dtype=torch.bool),
+        rotation=rendered.cameras.cam_from_world_rotation,
+        center=rendered.cameras.center_in_world,
+        intrinsics=rendered.cameras.intrinsics,
+        index_ratio=float(rendered.cameras.interface.index_ratio),
+        length_unit="cm",
+        points=points,
+        colors=torch.zeros(len(points), 3, dtype=torch.uint8),
+        image=image,
+        point=point,
+        pixels=pixels[image, point],
+    )
