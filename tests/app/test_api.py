@@ -8,9 +8,9 @@ import pytest
 import torchrefrac
 
 PUBLIC = {
-    "Capture", "DenseCloud", "DenseOptions", "FlatInterface", "Intrinsics", "LearnableCamera", "Options", "Plane", "Reconstruction",
-    "RefractiveCamera", "densify", "from_kornia", "load_capture", "minimal", "patch_costs", "reconstruct", "remove_refraction", "solve_refrax",
-    "to_kornia", "water_index",
+    "Capture", "DenseCloud", "DenseOptions", "FlatInterface", "Intrinsics", "LearnableCamera", "Options", "Plane",
+    "Reconstruction", "RefractiveCamera", "densify", "from_kornia", "load_capture", "minimal", "patch_costs",
+    "reconstruct", "remove_refraction", "solve_refrax", "to_kornia", "water_index",
 }  # fmt: skip
 
 

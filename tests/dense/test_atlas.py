@@ -27,9 +27,9 @@ def _places(draw, count, level, beyond):
     return image, ORIGIN[image, None] - room[:, None] + share * (size + 2.0 * room)[:, None]
 
 
-def _value(copy, x, y, kernel, reach):
-    """Of one place in a copy (h, w), whose first pixel has its centre at (0.5, 0.5)."""
-    h, w = copy.shape
+def _value(copy, place, kernel, reach):
+    """Of one place (2) in a copy (h, w), whose first pixel has its centre at (0.5, 0.5)."""
+    (x, y), (h, w) = place.tolist(), copy.shape
     left, top = math.floor(x - 0.5), math.floor(y - 0.5)
     total = 0.0
     for row in range(top - reach + 1, top + reach + 1):
@@ -64,10 +64,7 @@ def test_every_place_of_every_copy_has_the_value_that_the_copy_alone_gives(draw,
 
     copies = [pyramid(part, LEVELS) for part in images]
     expected = [
-        [
-            _value(copies[i][k], *((pixel - ORIGIN[i]) / 2**k).tolist(), kernel, reach)
-            for pixel in pixels[row]
-        ]
+        [_value(copies[i][k], (pixel - ORIGIN[i]) / 2**k, kernel, reach) for pixel in pixels[row]]
         for row, (i, k) in enumerate(zip(image.tolist(), level.tolist(), strict=True))
     ]
     assert_matches(values, torch.tensor(expected, dtype=torch.float64), slack=10.0)
@@ -76,7 +73,9 @@ def test_every_place_of_every_copy_has_the_value_that_the_copy_alone_gives(draw,
 @pytest.mark.parametrize("mode", ["bilinear", "bicubic"])
 def test_no_image_bleeds_into_its_neighbours_on_the_sheet(draw, mode):
     grey = 10.0 ** torch.arange(len(SIZES))
-    atlas = Atlas.build([torch.full(size, float(g)).double() for size, g in zip(SIZES, grey, strict=True)], LEVELS, ORIGIN, mode)
+    atlas = Atlas.build(
+        [torch.full(size, float(g)).double() for size, g in zip(SIZES, grey, strict=True)], LEVELS, ORIGIN, mode
+    )
     level = torch.arange(600) // 4 % LEVELS
     image, pixels = _places(draw, 600, level, beyond=0.5)
 
@@ -137,16 +136,17 @@ def test_a_place_is_contained_where_it_is_half_a_pixel_from_the_border_of_its_co
 
     assert inside_one.tolist() == [expected(row, near_one[row, 0]) for row in range(900)]
     assert inside_five.tolist() == [all(expected(row, pixel) for pixel in five[row]) for row in range(900)]
-    assert 0.2 < inside_five.double().mean() < inside_one.double().mean() < 1.0
+    assert 0.1 < inside_five.double().mean() < inside_one.double().mean() < 0.9
 
 
-def test_a_part_is_the_image_that_was_put_in_with_its_corner(images):
+def test_copies_come_off_the_sheet_as_they_were_put_on_it(images):
     atlas = Atlas.build(images, LEVELS, ORIGIN)
 
+    assert atlas.levels == LEVELS
     for i, image in enumerate(images):
-        part, origin = atlas.part(i)
-        assert torch.equal(part, image)
-        assert torch.equal(origin, ORIGIN[i])
+        assert torch.equal(atlas.copy(i), image)
+        for level, copy in enumerate(pyramid(image, LEVELS)):
+            assert torch.equal(atlas.copy(i, level), copy)
 
 
 def test_values_are_differentiable_in_pixels_and_images(draw):
@@ -167,8 +167,10 @@ def test_no_two_copies_overlap_on_a_sheet_that_is_mostly_full(draw, count):
     atlas = Atlas.build(images, LEVELS)
 
     taken = torch.zeros(atlas.sheet.shape[-2:])
-    for (x, y), (w, h) in zip(atlas.offset.view(-1, 2).long().tolist(), atlas.size.view(-1, 2).long().tolist(), strict=True):
+    for (x, y), (w, h) in zip(
+        atlas.offset.view(-1, 2).long().tolist(), atlas.size.view(-1, 2).long().tolist(), strict=True
+    ):
         taken[y - MARGIN : y + h + MARGIN, x - MARGIN : x + w + MARGIN] += 1.0
     assert float(taken.max()) == 1.0
     assert float(taken.sum()) == sum((h + 2 * MARGIN) * (w + 2 * MARGIN) for w, h in atlas.size.view(-1, 2).tolist())
-    assert count < 7 or taken.mean() > 0.7
+    assert taken.mean() > 0.6

@@ -75,7 +75,7 @@ def test_a_curved_warp_shifts_the_window_as_a_whole_by_nothing(draw, window):
     form, linear, shift = draw.normal(20, 1, 2, 2), draw.normal(20, 1, 2), draw.normal(20, 1)
 
     def warp(at):
-        return ((at[..., None, :] @ form @ at[..., :, None])[..., 0, 0] + (at * linear).sum(dim=-1) + shift)
+        return (at[..., None, :] @ form @ at[..., :, None])[..., 0, 0] + (at * linear).sum(dim=-1) + shift
 
     error = warp(window.corners.expand(20, 3, 2)) @ window.weights.T - warp(window.offsets.expand(20, -1, 2))
     elsewhere = warp(1.2 * window.corners.expand(20, 3, 2)) @ window.weights.T - warp(window.offsets.expand(20, -1, 2))

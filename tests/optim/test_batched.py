@@ -45,6 +45,21 @@ class Squares:
         return Squares(self.function, self.data[k : k + 1], self.impossible, self.bad)
 
 
+class Parting(Squares):
+    """The same, of which some can be left out. Keeps how many problems every evaluation had."""
+
+    def __init__(self, squares: Squares, sizes: list[int] | None = None) -> None:
+        super().__init__(squares.function, squares.data, squares.impossible, squares.bad)
+        self.sizes = [] if sizes is None else sizes
+
+    def linearize(self, states: Tensor) -> Quadratic:
+        self.sizes.append(len(states))
+        return super().linearize(states)
+
+    def subset(self, rows: Tensor) -> "Parting":
+        return Parting(Squares(self.function, self.data[rows], self.impossible, self.bad), self.sizes)
+
+
 def valley(x, data):
     """Rosenbrock's valley, its bend and its end given by data (K, 2)."""
     return torch.stack((3.0 * (x[:, 1] - data[:, 0] * x[:, 0] ** 2), data[:, 1] - x[:, 0]), dim=-1)
@@ -140,6 +155,55 @@ def test_the_model_that_is_reported_belongs_to_the_states(problems, kind):
 
     for reported, there in zip(report.quadratic, squares.linearize(report.states), strict=True):
         assert torch.equal(reported, there)
+
+
+@kinds
+@pytest.mark.parametrize("iterations", [0, 1, 5, 60])
+def test_problems_that_leave_end_as_those_that_stay(problems, kind, iterations):
+    squares, start = problems[kind]
+    start = torch.cat((start, minimize_each(squares, start, 60).states, start))
+    squares = Squares(squares.function, squares.data.repeat(3, *(1 for _ in squares.data.shape[1:])))
+    parting = Parting(squares)
+
+    stay, leave = minimize_each(squares, start, iterations), minimize_each(parting, start, iterations)
+
+    torch.testing.assert_close(leave.states, stay.states, rtol=1e-9, atol=1e-9)
+    assert torch.equal(leave.converged, stay.converged)
+    for left, stayed in zip(leave.quadratic, stay.quadratic, strict=True):
+        torch.testing.assert_close(left, stayed, rtol=1e-7, atol=1e-9)
+    assert sum(parting.sizes) <= squares.evaluations * len(start)
+    assert iterations == 0 or parting.sizes[1] == 12
+
+
+def test_problems_that_have_converged_are_not_looked_at_again(draw):
+    """A third each needs one step, several steps, and has no way to go."""
+    goal = draw.normal(9, 2)
+    powers = torch.tensor([1.0, 3.0, 1.0], dtype=torch.float64).repeat(3)[:, None]
+    start = torch.where(torch.arange(9)[:, None] % 3 == 2, goal, goal + draw.uniform(1.0, 2.0, 9, 2))
+    squares = Squares(lambda x, data: (x - data[:, :2]) ** data[:, 2:], torch.cat((goal, powers), dim=1))
+    parting = Parting(squares)
+
+    report = minimize_each(parting, start, 60)
+
+    assert report.converged.all()
+    assert parting.sizes[0] == 9
+    assert parting.sizes[1] == 6
+    assert parting.sizes[-1] == 3
+    torch.testing.assert_close(report.states[::3], goal[::3], rtol=0.0, atol=1e-3)
+    assert torch.equal(report.states[2::3], goal[2::3])
+
+
+def test_an_impossible_problem_does_not_keep_the_others_from_leaving():
+    start = torch.tensor([[4.0], [-2.0], [1.0], [3.0]], dtype=torch.float64)
+    parting = Parting(Squares(line, torch.zeros_like(start), lambda x: x[:, 0] < -1.0))
+    parting.data[1] = -5.0
+
+    report = minimize_each(parting, start)
+
+    assert report.converged.tolist() == [True, False, True, True]
+    assert float(report.states[1]) == -2.0
+    torch.testing.assert_close(report.states[[0, 2, 3]], torch.zeros(3, 1, dtype=torch.float64), rtol=0.0, atol=1e-6)
+    assert parting.sizes[-1] == 1
 
 
 @pytest.mark.parametrize("bad", [float("inf"), float("nan")])

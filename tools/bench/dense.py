@@ -1,12 +1,12 @@
 """The dense stage: whole runs against truth, patches a second, and what the windows are sampled with.
 
-    python tools/bench/dense.py [CAPTURE_FOLDER] [--only runs|patches|sampling] [--methods patch depthmap] [--models ...]
+    python tools/bench/dense.py [CAPTURE_FOLDER] [--only runs|patches|sampling] [--methods patch] [--models refractive]
 
-Without a folder it takes the embedded scene. Whole runs are started as a user starts them, each in a process of its own;
-the models without refraction are the peers, and the last column is their RMS to the true planes over the refractive one
-of the same method. Patches a second counts patches that are adjusted in up to five other images from guesses a few
-pixels off, kept or not; PMVS2 makes 890 a second and core. Sampling compares PyTorch's grid_sample with kornia's warps on
-the windows of patches.
+Without a folder it takes the embedded scene. Whole runs are started as a user starts them, each in a process of its
+own; the models without refraction are the peers, and the last column is their RMS to the true planes over the
+refractive one of the same method. Patches a second counts patches that are adjusted in up to five other images from
+guesses a few pixels off, kept or not; PMVS2 makes 890 a second and core. Sampling compares PyTorch's grid_sample with
+kornia's warps on the windows of patches.
 """
 
 import argparse

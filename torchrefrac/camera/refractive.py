@@ -126,7 +126,7 @@ class RefractiveCamera:
         return origins, directions, valid
 
     def follow_rays(self, pixels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """`cast_rays` with both parts of each ray: origins, unit directions before and after them (*B, 3), mask (*B)."""
+        """`cast_rays` with both parts of each ray: origins, unit directions before and after (*B, 3), mask (*B)."""
         pixels = self._checked(pixels, "pixels", 2)
         in_cam = self._directions_in_cam(pixels)
         world_from_cam = self.cam_from_world_rotation.mT

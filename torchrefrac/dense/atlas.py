@@ -66,9 +66,10 @@ class Atlas:
         return ((at > 0.5) & (at < self.size[image, level].to(at)[:, None] - 0.5)).flatten(1).all(dim=1)
 
     def sample(self, image: Tensor, level: Tensor, pixels: Tensor) -> Tensor:
-        """Grey values (P, K) at pixels (P, K, 2) of images (P) in copies (P); that of the border beyond it.
+        """Grey values (P, K) at pixels (P, K, 2) of images (P) in copies (P).
 
-        Differentiable in the pixels and in the images.
+        Differentiable in the pixels and in the images. Up to half a pixel of the copy beyond its border they are those
+        of the border; farther out they mean nothing (see `contains`).
         """
         height, width = self.sheet.shape[-2:]
         scale = pixels.new_tensor((2.0 / width, 2.0 / height))
@@ -96,7 +97,7 @@ class Atlas:
 
 def pyramid(image: Tensor, levels: int) -> list[Tensor]:
     """The image (h, w) and its smaller copies; odd sizes first repeat their last row or column."""
-    import kornia.geometry.transform as transform  # noqa: PLC0415 - importing it takes seconds
+    from kornia.geometry import transform  # noqa: PLC0415 - importing it takes seconds
 
     copies = [image[None, None]]
     for _ in range(levels - 1):

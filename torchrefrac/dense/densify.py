@@ -44,9 +44,11 @@ def densify(
 
     The reconstruction must have its points and observations: they say where to look. Textureless areas stay empty.
     Deterministic. `store` keeps finished images. Raises DenseError when no two images can be compared, CaptureError for
-    an image or a mask that is missing or has another size.
+    an image or a mask that is missing or has another size, ValueError for the method none.
     """
     options = options or DenseOptions(method="patch")
+    if options.method not in ESTIMATORS:
+        raise ValueError(f"method is {options.method!r}, but must be {' or '.join(map(repr, ESTIMATORS))}")
     recorder, store = recorder or SilentRecorder(), store or NoStore()
     images = Images(capture)
     images.check()
@@ -96,9 +98,10 @@ def _collect(
                 before = Patches.together([*known, *parts]).to(scope.device)
                 for patches, filled in estimator(scope, before, reconstruction, options):
                     parts.append(patches.padded(options.views).to(home))
+                    filled = min(filled, cells - told)  # tiles overlap
                     made, told = made + len(patches), told + filled
                     advance(filled, f"{made / (time.perf_counter() - start):.0f} patches/s")
-            advance(max(cells - told, 0), "")
+            advance(cells - told, "")
             found = Patches.together(parts)
             store.save(image, found)
             known.append(found)

@@ -5,22 +5,18 @@ relaxed to a band along this curve (section 3.6 of the paper; PMVS has a band al
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from torchrefrac.camera import RefractiveCamera, projection_parts
-from torchrefrac.checks import require, require_broadcasting
+from torchrefrac.camera import RefractiveCamera
+from torchrefrac.checks import require
 from torchrefrac.dense.interest_points import InterestPoints, strongest
-from torchrefrac.dense.rays import PixelRays
+from torchrefrac.dense.ray_curve import MIN_CHORD, Curve, checked_range, follow, frame_of, within
+from torchrefrac.dense.rays import PixelRays, project_moving
 
 CURVES = 1024  # worked on at once
-COARSE = 33  # samples of a curve whose course is not known yet
-MOST_SAMPLES = 512
-MIN_CHORD = 1e-6  # pixels
-MARGIN = 32.0  # pixels around where the other points lie
 TINY = 1e-30
 STEPS = 4  # Gauss-Newton; within the band the curve bends so little that these leave nothing
 
@@ -42,22 +38,6 @@ class Candidates:
         return len(self.point)
 
 
-def project_curve(
-    rays: PixelRays, camera: RefractiveCamera, near: Tensor, far: Tensor, samples: int
-) -> tuple[Tensor, Tensor, Tensor]:
-    """The images of rays (n) in another camera: pixels (n, samples, 2), distances (n, samples), validity (n, samples).
-
-    At `samples` evenly spaced distances from near (n) to far (n), both included. Not valid is what the camera cannot
-    see; pixels may lie outside of its image.
-
-    Raises ValueError for a batch of cameras, fewer than 2 samples, and a near that is above far.
-    """
-    near, far = _checked_range(rays, camera, near, far)
-    require(samples, "samples", at_least=2)
-    curve = _curve(rays, camera, _evenly(near, far, samples))
-    return curve.pixels, curve.distance, curve.valid
-
-
 def find_candidates(
     rays: PixelRays,
     kind: Tensor,
@@ -76,90 +56,24 @@ def find_candidates(
 
     Raises ValueError for a batch of cameras, a near that is above far, and a band or spacing that is not above 0.
     """
-    near, far = _checked_range(rays, camera, near, far)
+    near, far = checked_range(rays, camera, near, far)
     require(band, "band", above=0.0)
     require(spacing, "spacing", above=0.0)
     parts = [Candidates(*(kind.new_zeros(0, dtype=torch.long),) * 2, *(near.new_zeros(0),) * 2)]
-    frame = _frame(others.pixels.to(near), band) if len(others) else near.new_zeros(2, 2)
+    frame = frame_of(others.pixels.to(near), band) if len(others) else near.new_zeros(2, 2)
     for first in range(0, len(near) if len(others) else 0, CURVES):
         rows = torch.arange(first, min(first + CURVES, len(near)), device=near.device)
-        curve = _follow(rays[rows], camera, near[rows], far[rows], frame, spacing)
+        curve = follow(rays[rows], camera, near[rows], far[rows], frame, spacing)
         found = _nearest(rays[rows], kind[rows], camera, curve, others, frame, band)
         parts.append(Candidates(found.point + first, found.other, found.distance, found.offset))
     return Candidates(*(torch.cat([getattr(p, f) for p in parts]) for f in Candidates.__dataclass_fields__))
-
-
-class _Curve(NamedTuple):
-    """pixels (n, s, 2) at distances (n, s), in ascending order, and which of them are valid (n, s)."""
-
-    pixels: Tensor
-    distance: Tensor
-    valid: Tensor
-
-
-def _curve(rays: PixelRays, camera: RefractiveCamera, distance: Tensor) -> _Curve:
-    pixels, valid = camera.project(rays[:, None].at(distance))
-    return _Curve(pixels, distance, valid)
-
-
-def _follow(
-    rays: PixelRays, camera: RefractiveCamera, near: Tensor, far: Tensor, frame: Tensor, spacing: float
-) -> _Curve:
-    """Samples about `spacing` pixels apart within the frame (2, 2), one of them where the ray enters the water."""
-    surface = torch.zeros_like(near).clamp(near, far)[:, None]
-    distance = _evenly(near, far, COARSE)
-    for apart in (4.0 * spacing, spacing):
-        curve = _curve(rays, camera, torch.cat((distance, surface), dim=1).sort(dim=1).values)
-        length = _length(curve, frame)
-        distance = _spread(curve.distance, length, min(int(length[:, -1].max() / apart) + 2, MOST_SAMPLES))
-    return _curve(rays, camera, torch.cat((distance, surface), dim=1).sort(dim=1).values)
-
-
-def _evenly(near: Tensor, far: Tensor, samples: int) -> Tensor:
-    """Distances (n, samples) from near (n) to far (n)."""
-    part = torch.linspace(0.0, 1.0, samples, dtype=near.dtype, device=near.device)
-    return torch.lerp(near[:, None], far[:, None], part)
-
-
-def _length(curve: _Curve, frame: Tensor) -> Tensor:
-    """Pixels from the first sample to each (n, s) along the chords, as far as they lie in the frame.
-
-    Strictly ascending. A chord with one valid end counts as the longest that there is.
-    """
-    chord = _within(curve.pixels, frame).diff(dim=1).norm(dim=-1)
-    both, either = curve.valid[:, 1:] & curve.valid[:, :-1], curve.valid[:, 1:] | curve.valid[:, :-1]
-    longest = (frame[1] - frame[0]).norm()
-    chord = torch.where(both, chord, torch.where(either, longest, 0.0)) + MIN_CHORD
-    return torch.nn.functional.pad(chord.cumsum(dim=1), (1, 0))
-
-
-def _spread(distance: Tensor, length: Tensor, samples: int) -> Tensor:
-    """Distances (n, samples) evenly spaced in length, which is known (n, s) at distances (n, s)."""
-    wanted = length[:, -1:] * torch.linspace(0.0, 1.0, samples, dtype=length.dtype, device=length.device)
-    index = torch.searchsorted(length, wanted, right=True).clamp(1, length.shape[1] - 1)
-    start, end = length.gather(1, index - 1), length.gather(1, index)
-    share = ((wanted - start) / (end - start)).clamp(0.0, 1.0)
-    return torch.lerp(distance.gather(1, index - 1), distance.gather(1, index), share)
-
-
-def _frame(pixels: Tensor, band: float) -> Tensor:
-    """The least and the greatest pixels (2, 2) of all that may lie in the band of one of pixels (m, 2), and a margin.
-
-    Within the margin a chord may depart from its curve.
-    """
-    return torch.stack((pixels.amin(dim=0), pixels.amax(dim=0))) + pixels.new_tensor([[-1.0], [1.0]]) * (band + MARGIN)
-
-
-def _within(pixels: Tensor, frame: Tensor) -> Tensor:
-    """Pixels moved into the frame: of a chord, the part that lies there stays within the box around its moved ends."""
-    return pixels.clamp(frame[0], frame[1])
 
 
 def _nearest(
     rays: PixelRays,
     kind: Tensor,
     camera: RefractiveCamera,
-    curve: _Curve,
+    curve: Curve,
     others: InterestPoints,
     frame: Tensor,
     band: float,
@@ -181,7 +95,7 @@ def _nearest(
 
 
 def _near_chords(
-    kind: Tensor, curve: _Curve, others: InterestPoints, frame: Tensor, band: float
+    kind: Tensor, curve: Curve, others: InterestPoints, frame: Tensor, band: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Rows (k), chords (k) and points (k) of the same kind that may come within the band of each other.
 
@@ -190,7 +104,7 @@ def _near_chords(
     """
     from scipy.spatial import KDTree  # noqa: PLC0415 - slow to import
 
-    inside = _within(curve.pixels, frame)
+    inside = within(curve.pixels, frame)
     length = inside.diff(dim=1).norm(dim=-1)
     row, chord = (curve.valid[:, 1:] & curve.valid[:, :-1]).nonzero().unbind(dim=-1)
     reach = band + length[row, chord]
@@ -230,28 +144,8 @@ def _refined(
     direction = torch.where(before[:, None], rays.before, rays.after)
     distance = (start + end) / 2.0
     for _ in range(STEPS):
-        pixels, along = _moving_pixels(camera, rays.origin + distance[:, None] * direction, direction)
+        pixels, along, _ = project_moving(camera, rays.origin + distance[:, None] * direction, direction)
         step = ((at - pixels) * along).sum(dim=-1) / along.square().sum(dim=-1).clamp(min=TINY)
         distance = (distance + step).clamp(lower, upper)
     pixels, valid = camera.project(rays.origin + distance[:, None] * direction)
     return distance, (pixels - at).norm(dim=-1), valid
-
-
-def _moving_pixels(camera: RefractiveCamera, points: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
-    """Pixels (k, 2) of points (k, 3), and their derivatives (k, 2) as the points move along `direction` (k, 3)."""
-    (u, v), _, by = projection_parts(
-        camera.intrinsics, camera.cam_from_world_rotation, camera.center_in_world, points, camera.interface, ("point",)
-    )
-    dx, dy, dz = direction.unbind(dim=-1)
-    along = torch.stack([rows[0] * dx + rows[1] * dy + rows[2] * dz for rows in by["point"]], dim=-1)
-    return torch.stack((u, v), dim=-1), along
-
-
-def _checked_range(rays: PixelRays, camera: RefractiveCamera, near: Tensor, far: Tensor) -> tuple[Tensor, Tensor]:
-    """near and far (n) in the rays' dtype."""
-    if camera.shape:
-        raise ValueError(f"camera has batch shape {tuple(camera.shape)}, but must be a single camera")
-    shape = require_broadcasting(rays=rays.origin.shape[:-1], near=near.shape, far=far.shape)
-    near, far = (value.to(rays.origin).expand(shape) for value in (near, far))
-    require(far - near, "far - near", at_least=0.0)
-    return near, far

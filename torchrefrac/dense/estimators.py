@@ -25,8 +25,8 @@ class Estimator(Protocol):
 def grow_patches(
     scope: Scope, known: Patches, reconstruction: Reconstruction, options: DenseOptions
 ) -> Iterator[tuple[Patches, int]]:
-    """From seeds outwards (PMVS): first from known patches and sparse points, then from interest points in what is left.
-    Cells that show a known patch get none."""
+    """From seeds outwards (PMVS): first from known patches and sparse points, then from interest points in what is
+    left. Cells that show a known patch get none."""
     cells = Cells(scope, options.cell)
     cover(scope, cells, known, options)
     yield sparse_seeds(scope, cells, reconstruction, options), cells.newly_filled()

@@ -1,5 +1,7 @@
 """The patches of images that were each filled on their own, as one surface."""
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -18,12 +20,12 @@ def fuse(patches: Patches, cameras: RefractiveCamera, cell: int, min_maps: int) 
     """
     tables = _tables(patches, cameras, cell)
     taken = torch.zeros(len(patches), dtype=torch.bool)
-    kept, points = [], []
+    kept, points, sigma = [], [], []
     for image in range(cameras.shape[0]):
         rows = ((patches.reference == image) & ~taken).nonzero()[:, 0]
         weight = patches.sigma[rows].square().reciprocal()
         total, moved = weight.clone(), torch.zeros_like(weight)
-        maps = torch.ones_like(rows)
+        best, maps = patches.sigma[rows], torch.ones_like(rows)
         found = []
         for other in range(cameras.shape[0]):
             if other == image:
@@ -32,6 +34,7 @@ def fuse(patches: Patches, cameras: RefractiveCamera, cell: int, min_maps: int) 
             share = torch.where(agrees, patches.sigma[match].square().reciprocal(), 0.0)
             total += share
             moved += share * offset
+            best = torch.where(agrees, torch.minimum(best, patches.sigma[match]), best)
             maps += agrees
             found.append((match, agrees))
         good = maps >= min_maps
@@ -39,7 +42,8 @@ def fuse(patches: Patches, cameras: RefractiveCamera, cell: int, min_maps: int) 
             taken[match[agrees & good]] = True
         kept.append(rows[good])
         points.append(patches.points[rows[good]] + (moved / total)[good, None] * patches.normals[rows[good]])
-    return patches[torch.cat(kept)].moved_to(torch.cat(points))
+        sigma.append(best[good])
+    return replace(patches[torch.cat(kept)], points=torch.cat(points), sigma=torch.cat(sigma))
 
 
 def _tables(patches: Patches, cameras: RefractiveCamera, cell: int) -> list[Tensor]:

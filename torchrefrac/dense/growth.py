@@ -4,14 +4,12 @@ A cell beside one that has a patch supposes that patch's plane to go on. Every w
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
-from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.refine import Planes, refine
 from torchrefrac.dense.scope import Scope
 
@@ -36,7 +34,9 @@ class Cells:
         self.points = torch.zeros(count, 3, dtype=torch.float64, device=device)
         self.normals = torch.zeros(count, 3, dtype=torch.float64, device=device)
         self.tries = torch.zeros(count, dtype=torch.long, device=device)
-        self.tried_score = torch.full((count,), -1.0, dtype=torch.float64, device=device)  # the best plane that has failed here
+        self.tried_score = torch.full(
+            (count,), -1.0, dtype=torch.float64, device=device
+        )  # the best plane that has failed here
 
     def index(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
         """Cells (N) that pixels (N, 2) lie in, and which lie in one (N)."""

@@ -78,7 +78,7 @@ def plane_through(corners: Tensor) -> tuple[Tensor, Tensor]:
 def _sigma(
     agreement: Agreement, visible: Tensor, score: Tensor, contrast: Tensor, window: Window, options: DenseOptions
 ) -> tuple[Tensor, Tensor]:
-    """Standard deviation of the distances (k) from noise, and where the images determine all three numbers of a patch (k).
+    """Standard deviation of the distances (k) from noise, and where the images determine all of a patch (k).
 
     The variance of the residuals f^ - g^, each sample's, is what is left of them, but at least what `noise` grey levels
     in both windows make.

@@ -34,10 +34,11 @@ class DenseOptions:
     views: with how many others at most a patch is compared, of `neighbours` that its image has; min_views must agree
     (the reference included; two where there are only two images) to min_score, as zero-normalised cross-correlation.
     angle_best and angle_max: between the rays of two images. max_slant: of a patch against the viewing ray.
-    min_contrast: a window's standard deviation; noise: the least that is assumed of an image. max_sigma: of a patch along its ray, as
-    the shift that it makes in the other images. loss_scale: of 1 - ZNCC, where an image begins to count less.
-    levels: sizes of each image, every one half of the one before. iterations: of a patch's adjustment.
-    batch: patches refined at once. max_tile: pixels across of what is worked on at once, for large images.
+    min_contrast: a window's standard deviation; noise: the least that is assumed of an image. max_sigma: of a patch
+    along its ray, as the shift that it makes in the other images. loss_scale: of 1 - ZNCC, where an image begins to
+    count less. levels: sizes of each image, every one half of the one before. iterations: of a patch's adjustment.
+    batch: patches refined at once. max_tile: pixels across of what is worked on at once, for large images. device:
+    where the work is done, as PyTorch names it (cpu, cuda).
 
     Raises ValueError for values that cannot be right.
     """

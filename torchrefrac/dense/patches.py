@@ -32,10 +32,6 @@ class Patches:
         """Some of them, by a mask (N) or indices."""
         return Patches(*(getattr(self, f.name)[rows] for f in fields(self)))
 
-    def moved_to(self, points: Tensor) -> "Patches":
-        """The same at other points (N, 3)."""
-        return replace(self, points=points)
-
     def padded(self, views: int) -> "Patches":
         """The same with V = views, the images that were not compared marked as not visible."""
         more = views - self.others.shape[1]

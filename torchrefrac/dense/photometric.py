@@ -16,9 +16,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchrefrac.camera import RefractiveCamera, projection_parts
+from torchrefrac.camera import RefractiveCamera
 from torchrefrac.dense.atlas import Atlas
-from torchrefrac.dense.rays import PixelRays
+from torchrefrac.dense.rays import PixelRays, project_moving
 from torchrefrac.dense.window import Window
 from torchrefrac.optim.batched import Quadratic
 
@@ -129,13 +129,8 @@ class Comparison(NamedTuple):
         which patches are seen (N, V)."""
         distances = states @ self.window.basis.to(states).T
         points, direction = self.rays.at(distances)[:, None], self.rays.direction_at(distances)[:, None]
-        seen = self.cameras
-        (u, v), valid, by = projection_parts(
-            seen.intrinsics, seen.cam_from_world_rotation, seen.center_in_world, points, seen.interface, ("point",)
-        )
-        dx, dy, dz = direction.unbind(dim=-1)
-        along = [row[0] * dx + row[1] * dy + row[2] * dz for row in by["point"]]
-        return torch.stack((u, v), dim=-1), torch.stack(along, dim=-1), valid.all(dim=-1)
+        pixels, along, valid = project_moving(self.cameras, points, direction)
+        return pixels, along, valid.all(dim=-1)
 
 
 def unit_windows(atlas: Atlas, image: Tensor, level: Tensor, pixels: Tensor, window: Window) -> tuple[Tensor, Tensor]:
@@ -167,7 +162,7 @@ def patch_costs(
     the patches' centres in their reference images; states (N, 3): distance along the ray from the water surface, in the
     length unit of the cameras, and how much it grows towards +x and +y over `window.radius` pixels. Differentiable in
     all of the cameras (poses, lens, interface), the images, the pixels and the states. An image that does not see a
-    patch as a whole costs a constant.
+    patch as a whole, or sees no texture there, costs a constant.
     """
     window = Window() if window is None else window
     atlas = images if isinstance(images, Atlas) else Atlas.build(images, levels=1)
@@ -180,9 +175,11 @@ def patch_costs(
     level = torch.zeros_like(flat)
     f, _ = unit_windows(atlas, reference, torch.zeros_like(reference), pixels, window)
     g = atlas.sample(flat, level, at).view(count, views, -1)
-    g = torch.nn.functional.normalize(g - g.mean(dim=-1, keepdim=True), dim=-1)
-    usable = valid.all(dim=-1) & atlas.contains(flat, level, at).view(count, views)
-    bad = torch.where(usable, 1.0 - (f[:, None] * g).sum(dim=-1), WORST)
+    g = g - g.mean(dim=-1, keepdim=True)
+    norm_sq = g.square().sum(dim=-1)
+    usable = valid.all(dim=-1) & (norm_sq > TINY) & atlas.contains(flat, level, at).view(count, views)
+    zncc = (f[:, None] * g).sum(dim=-1) * norm_sq.clamp(min=TINY).rsqrt()
+    bad = torch.where(usable, 1.0 - zncc, WORST)
     return (bad / (1.0 + bad / tau)).sum(dim=-1)
 
 

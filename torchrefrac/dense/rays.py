@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchrefrac.camera import RefractiveCamera
+from torchrefrac.camera import RefractiveCamera, projection_parts
 
 
 class PixelRays(NamedTuple):
@@ -52,3 +52,14 @@ class PixelRays(NamedTuple):
 
     def __getitem__(self, index: Tensor | tuple[Tensor | slice | None, ...]) -> "PixelRays":  # type: ignore[override]
         return PixelRays(self.origin[index], self.before[index], self.after[index])
+
+
+def project_moving(camera: RefractiveCamera, points: Tensor, direction: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Pixels (*B, 2) of points (*B, 3), their derivatives (*B, 2) as the points move along `direction` (*B, 3), and
+    which the camera sees (*B). In closed form, for cameras (*B)."""
+    (u, v), valid, by = projection_parts(
+        camera.intrinsics, camera.cam_from_world_rotation, camera.center_in_world, points, camera.interface, ("point",)
+    )
+    dx, dy, dz = direction.unbind(dim=-1)
+    along = torch.stack([row[0] * dx + row[1] * dy + row[2] * dz for row in by["point"]], dim=-1)
+    return torch.stack((u, v), dim=-1), along, valid

@@ -45,10 +45,6 @@ class Subjects(NamedTuple):
     image: Tensor
     present: Tensor
 
-    def subset(self, rows: Tensor) -> "Subjects":
-        """Some of them."""
-        return Subjects(*(part[rows] for part in self))
-
 
 def refine(
     scope: Scope, pixels: Tensor, planes: Planes, options: DenseOptions, start_level: int = 0

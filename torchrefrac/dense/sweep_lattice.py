@@ -118,6 +118,8 @@ def _nodes(count: int) -> tuple[Tensor, Tensor]:
 
 def _allowed(scope: Scope, image: int, level: int, shape: torch.Size) -> Tensor:
     """Which pixels (h, w) of a copy have their middles where the mask allows it."""
-    y, x = torch.meshgrid(*(torch.arange(n, dtype=torch.float64, device=scope.device) + 0.5 for n in shape), indexing="ij")
+    y, x = torch.meshgrid(
+        *(torch.arange(n, dtype=torch.float64, device=scope.device) + 0.5 for n in shape), indexing="ij"
+    )
     pixels = scope.atlas.origin[image] + 2**level * torch.stack((x, y), dim=-1)
     return scope.is_allowed(torch.full(pixels.shape[:-1], image, device=scope.device), pixels)

@@ -25,7 +25,7 @@ def scopes(
     ids, device = torch.cat((torch.tensor([image]), hood.others)), torch.device(options.device)
     height, width = images.size
     whole = max(width, height) <= options.max_tile
-    for tile in _tiles(width, height, options):
+    for tile in [(0, 0, width, height)] if whole else _tiles(width, height, options):
         local = cameras[ids]
         boxes = [(0, 0, width, height)] * len(ids) if whole else _boxes(local, tile, hood, options)
         seen = torch.tensor([box[2] > box[0] and box[3] > box[1] for box in boxes])

@@ -53,7 +53,7 @@ def draw_side_views(views: Sequence[SideView], truth: Truth | None, path: Path) 
     from matplotlib.figure import Figure  # noqa: PLC0415
     from matplotlib.lines import Line2D  # noqa: PLC0415
 
-    across = _across(truth)
+    across = side_direction(truth)
     low, high = _height_range(views, truth)
     limits = _limits(views, truth, across)
     width, height = (end - start for start, end in limits)
@@ -91,7 +91,7 @@ def draw_side_views(views: Sequence[SideView], truth: Truth | None, path: Path) 
         figure.savefig(temporary)
 
 
-def _across(truth: Truth | None) -> Tensor:
+def side_direction(truth: Truth | None) -> Tensor:
     """Unit horizontal direction (2) that runs from left to right in the picture."""
     if truth is None or not len(truth.corner):
         return torch.tensor((1.0, 0.0), dtype=torch.float64)
@@ -103,7 +103,7 @@ def _across(truth: Truth | None) -> Tensor:
 
 def _height_range(views: Sequence[SideView], truth: Truth | None) -> tuple[float, float]:
     if truth is not None and len(truth.corner):
-        corners = _corners(truth)[..., 2]
+        corners = corners_of(truth)[..., 2]
         return float(corners.min()), float(corners.max())
     heights = torch.cat([view.points[:, 2] for view in views])
     if not len(heights):
@@ -111,21 +111,21 @@ def _height_range(views: Sequence[SideView], truth: Truth | None) -> tuple[float
     return float(heights.quantile(0.01)), float(heights.quantile(0.99))
 
 
-def _corners(truth: Truth) -> Tensor:
+def corners_of(truth: Truth) -> Tensor:
     """(k, 4, 3)."""
     a, b, c = truth.corner, truth.edge1, truth.edge2
     return torch.stack((a, a + b, a + b + c, a + c), dim=1)
 
 
 def _draw_planes(panel: Any, truth: Truth, across: Tensor) -> None:
-    for corners in _corners(truth):
+    for corners in corners_of(truth):
         closed = torch.cat((corners, corners[:1]))
         panel.plot((closed[:, :2] @ across).numpy(), closed[:, 2].numpy(), "-", color=FAINT, lw=3.0, zorder=1)
 
 
 def _limits(views: Sequence[SideView], truth: Truth | None, across: Tensor) -> list[tuple[float, float]]:
     """Horizontal and vertical range: cameras, true planes, and all but the most stray points of every panel."""
-    shown = [view.centers for view in views] + ([_corners(truth).flatten(0, 1)] if truth is not None else [])
+    shown = [view.centers for view in views] + ([corners_of(truth).flatten(0, 1)] if truth is not None else [])
     for view in views:
         if len(view.points):
             edges = torch.tensor((0.01, 0.99), dtype=view.points.dtype)

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from torchrefrac.scene.atomic import replacing
-from torchrefrac.scene.dense_file import read_arrays, write_arrays
+from torchrefrac.scene.npz import read_arrays, write_arrays
 from torchrefrac.scene.raster import Raster
 
 FORMAT = "torchrefrac-raster/1"

@@ -1,0 +1,249 @@
+"""The dense reconstruction as a whole, on rendered photographs of surfaces under water."""
+
+import re
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from rendered_captures import sparse_reconstruction, write_capture, write_mask
+from rendered_scenes import Board, cameras_around, marble, render
+
+from torchrefrac.dense import DenseError, DenseOptions, densify, depth_maps
+from torchrefrac.recorder import SilentRecorder
+from torchrefrac.scene import CaptureError
+
+FOOTPRINT = 0.55  # roughly, of all cameras
+SLOPE = Board((0.0, 0.0, -40.0), (0.25, -0.1, 1.0))
+OPTIONS = {method: DenseOptions(method=method) for method in ("patch", "depthmap")}
+methods = pytest.mark.parametrize("method", list(OPTIONS))
+
+
+def _photographs(count=3, texture=None):
+    return render([SLOPE], cameras_around(count, 30.0, -30.0, 1.33), texture or marble(), 1.33)
+
+
+@pytest.fixture(scope="module")
+def slope():
+    """Three photographs of a slope under water."""
+    return _photographs()
+
+
+@pytest.fixture(scope="module", params=list(OPTIONS))
+def finished(request, slope, tmp_path_factory):
+    """The slope's capture, sparse reconstruction, options and dense reconstruction."""
+    capture = write_capture(slope, tmp_path_factory.mktemp("slope"))
+    reconstruction, options = sparse_reconstruction(slope), OPTIONS[request.param]
+    return capture, reconstruction, options, densify(capture, reconstruction, options)
+
+
+def _heights(points):
+    """Signed distances (n) of points (n, 3) from the slope."""
+    normal = torch.nn.functional.normalize(torch.tensor(SLOPE.normal, dtype=torch.float64), dim=0)
+    return (points - normal.new_tensor(SLOPE.point)) @ normal
+
+
+def _found(rendered, points, reach=3.0 * FOOTPRINT):
+    """Which of what the first image's pixels show (h, w) has one of points (n, 3) within reach; every sixth pixel."""
+    shown = rendered.points[0, ::6, ::6]
+    return torch.cdist(shown.reshape(-1, 3), points).amin(dim=1).view(shown.shape[:2]) < reach
+
+
+def _seen_by_all(rendered, margin=10.0):
+    """Which of every sixth pixel of the first image all images show, `margin` pixels from their borders (h, w)."""
+    shown = rendered.points[0, ::6, ::6]
+    pixels, _ = rendered.cameras[:, None].project(shown.reshape(-1, 3))
+    room = torch.minimum(pixels, pixels.new_tensor((160.0, 120.0)) - pixels).amin(dim=(0, 2))
+    return (room > margin).view(shown.shape[:2])
+
+
+def test_the_surface_is_found_where_all_images_see_it(finished, slope):
+    _, _, _, dense = finished
+
+    common = _seen_by_all(slope)
+
+    assert common.sum() > 150
+    assert _found(slope, dense.cloud.points)[common].double().mean() > 0.97
+
+
+def test_points_lie_on_the_surface_and_face_as_it_does(finished, slope):
+    _, _, _, dense = finished
+
+    off = _heights(dense.cloud.points).abs()
+
+    normal = torch.nn.functional.normalize(torch.tensor(SLOPE.normal, dtype=torch.float64), dim=0)
+    turned = torch.rad2deg(torch.acos((dense.cloud.normals @ normal).clamp(-1.0, 1.0)))
+    assert off.median() < 0.1 * FOOTPRINT
+    assert off.quantile(0.95) < 0.5 * FOOTPRINT
+    assert off.max() < 2.0 * FOOTPRINT
+    assert turned.median() < 3.0
+    assert turned.quantile(0.95) < 12.0
+
+
+def test_sigma_tells_the_size_of_the_errors(finished):
+    _, _, _, dense = finished
+
+    ratio = _heights(dense.cloud.points).abs() / dense.cloud.sigma
+
+    assert 0.2 < ratio.median() < 1.4
+    assert (ratio < 4.0).double().mean() > 0.9
+
+
+def test_the_cloud_is_that_of_the_patches(finished, slope):
+    _, _, options, dense = finished
+    cloud, patches = dense.cloud, dense.patches
+
+    column, row = patches.pixels.long().unbind(dim=-1)
+    painted = slope.images[patches.reference, row, column].round().clamp(0, 255).byte()
+
+    for name in ("points", "normals", "sigma", "score", "views", "reference"):
+        assert torch.equal(getattr(cloud, name), getattr(patches, name)), name
+    assert torch.equal(cloud.colors, painted[:, None].expand(-1, 3))
+    assert cloud.length_unit == "cm"
+    assert (cloud.views >= options.min_views).all()
+    assert ((cloud.score > options.min_score) & (cloud.score <= 1.0 + 1e-6)).all()
+    assert (cloud.sigma > 0.0).all()
+
+
+def test_every_patch_lies_on_the_ray_of_its_pixel(finished, slope):
+    _, _, options, dense = finished
+
+    pixels, valid = slope.cameras[dense.patches.reference].project(dense.patches.points)
+
+    assert valid.all()
+    off = (pixels - dense.patches.pixels).norm(dim=-1)
+    assert off.max() < (1e-6 if options.method == "patch" else 0.5)  # fused ones have moved along their normals
+
+
+def test_each_image_gets_a_map_of_what_it_shows(finished, slope):
+    _, reconstruction, options, dense = finished
+
+    maps = list(depth_maps(dense, reconstruction, options))
+
+    assert [m.name for m in maps] == ["0.png", "1.png", "2.png"]
+    for image, seen in enumerate(maps):
+        truth = slope.points[image, 1:120:3, 1:159:3]
+        assert seen.valid.double().mean() > 0.4
+        assert (seen.points - truth).norm(dim=-1)[seen.valid].median() < 0.2 * FOOTPRINT
+
+
+@methods
+def test_masked_ground_stays_empty(slope, tmp_path, method):
+    capture, reconstruction = write_capture(slope, tmp_path), sparse_reconstruction(slope)
+    hidden = (slope.points[..., 0].abs() < 6.0) & (slope.points[..., 1].abs() < 6.0)
+    for image, name in enumerate(capture.names):
+        write_mask(capture, name, ~hidden[image])
+
+    points = densify(capture, reconstruction, OPTIONS[method]).cloud.points
+
+    inside = points[:, :2].abs().amax(dim=-1)
+    assert not (inside < 6.0 - FOOTPRINT).any()
+    assert (inside < 20.0).sum() > 200
+    assert len(points) > 500
+
+
+@methods
+def test_ground_without_texture_stays_empty(tmp_path, method):
+    paint = marble()
+    scene = _photographs(texture=lambda points: np.where(points[..., 0] < 0.0, paint(points), 128.0))
+
+    points = densify(write_capture(scene, tmp_path), sparse_reconstruction(scene), OPTIONS[method]).cloud.points
+
+    assert (points[:, 0] < 0.0).sum() > 400
+    assert not (points[:, 0] > 6.0 * FOOTPRINT).any()
+    assert _heights(points).abs().quantile(0.95) < 0.5 * FOOTPRINT
+
+
+@methods
+def test_two_images_are_enough(tmp_path, method):
+    scene = _photographs(2)
+
+    dense = densify(write_capture(scene, tmp_path), sparse_reconstruction(scene), OPTIONS[method])
+
+    assert _found(scene, dense.cloud.points)[_seen_by_all(scene)].double().mean() > 0.97
+    assert _heights(dense.cloud.points).abs().median() < 0.1 * FOOTPRINT
+    assert (dense.cloud.views == 2).all()
+
+
+@methods
+def test_without_refraction_in_the_model_the_bottom_is_not_where_it_is(slope, tmp_path, method):
+    """The photographs and poses are right, but nobody told of the water."""
+    dry = replace(slope, cameras=slope.cameras.as_pinhole())
+    reconstruction = replace(sparse_reconstruction(dry), index_ratio=1.0)
+
+    points = densify(write_capture(slope, tmp_path), reconstruction, replace(OPTIONS[method], cell=6)).cloud.points
+
+    assert not len(points) or _heights(points).abs().median() > 3.0 * FOOTPRINT
+
+
+def test_an_image_without_a_pose_takes_no_part(slope, tmp_path):
+    capture, reconstruction = write_capture(slope, tmp_path), sparse_reconstruction(slope)
+    known = reconstruction.image != 1
+    parts = {name: getattr(reconstruction, name)[known] for name in ("image", "point", "pixels")}
+    reconstruction = replace(reconstruction, registered=torch.tensor([True, False, True]), **parts)
+
+    dense = densify(capture, reconstruction, OPTIONS["patch"])
+
+    assert len(dense.cloud) > 800
+    assert not (dense.patches.reference == 1).any()
+    assert not ((dense.patches.others == 1) & dense.patches.visible).any()
+    assert [m.name for m in depth_maps(dense, reconstruction, OPTIONS["patch"])] == ["0.png", "2.png"]
+
+
+@pytest.mark.parametrize("tile", [160, 90])
+def test_the_meter_counts_every_cell_once(slope, tmp_path, tile):
+    class Counting(SilentRecorder):
+        total, counted = 0, 0
+
+        @contextmanager
+        def meter(self, total, description, unit):
+            self.total = total
+
+            def advance(count, text):
+                self.counted += count
+
+            yield advance
+
+    recorder, two = Counting(), replace(slope, cameras=slope.cameras[:2], images=slope.images[:2])
+    two = replace(two, points=slope.points[:2], normals=slope.normals[:2])
+
+    densify(
+        write_capture(two, tmp_path),
+        sparse_reconstruction(two),
+        DenseOptions(method="patch", cell=6, max_tile=tile),
+        recorder,
+    )
+
+    assert recorder.total == 2 * (160 // 6) * (120 // 6)
+    assert recorder.counted == recorder.total
+
+
+def test_without_sparse_points_it_says_that_they_are_missing(slope, tmp_path):
+    bare = sparse_reconstruction(slope)
+    none = torch.zeros(0, dtype=torch.long)
+    bare = replace(bare, points=bare.points[:0], colors=bare.colors[:0], image=none, point=none, pixels=bare.pixels[:0])
+
+    with pytest.raises(DenseError, match="no sparse points, which say where to look; run the sparse"):
+        densify(write_capture(slope, tmp_path), bare, OPTIONS["patch"])
+
+
+def test_identical_views_are_refused(slope, tmp_path):
+    same = torch.zeros(3, dtype=torch.long)
+    still = replace(slope, cameras=slope.cameras[same], images=slope.images[same], points=slope.points[same])
+
+    with pytest.raises(DenseError, match="no two of 3 registered images see common points at an angle"):
+        densify(write_capture(still, tmp_path), sparse_reconstruction(still), OPTIONS["patch"])
+
+
+def test_a_photograph_that_is_gone_is_named(slope, tmp_path):
+    capture = write_capture(slope, tmp_path)
+    capture.paths[2].unlink()
+
+    with pytest.raises(CaptureError, match=re.escape(str(capture.paths[2]))):
+        densify(capture, sparse_reconstruction(slope), OPTIONS["patch"])
+
+
+def test_the_method_that_leaves_it_at_sparse_points_is_refused(slope, tmp_path):
+    with pytest.raises(ValueError, match="method is 'none', but must be 'patch' or 'depthmap'"):
+        densify(write_capture(slope, tmp_path), sparse_reconstruction(slope), DenseOptions(method="none"))
