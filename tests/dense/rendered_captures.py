@@ -1,6 +1,7 @@
 """Rendered photographs as files, with the sparse reconstruction that a dense one begins with."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -9,9 +10,25 @@ from rendered_scenes import Rendered
 from torch import Tensor
 
 from torchrefrac.dense.images import Images
+from torchrefrac.recorder import Advance, SilentRecorder
 from torchrefrac.scene import Capture, Reconstruction
 
 EVERY = 12  # pixels from one sparse point to the next
+
+
+class CountingRecorder(SilentRecorder):
+    """Knows how much work there was to be, and how much was reported as done."""
+
+    total = done = 0
+
+    @contextmanager
+    def meter(self, total: int, description: str, unit: str) -> Iterator[Advance]:
+        self.total = total
+
+        def advance(count: int, text: str) -> None:
+            self.done += count
+
+        yield advance
 
 
 def write_capture(rendered: Rendered, folder: Path, names: Sequence[str] = ()) -> Capture:
@@ -27,7 +44,7 @@ def write_capture(rendered: Rendered, folder: Path, names: Sequence[str] = ()) -
         names=names,
         paths=paths,
         intrinsics=rendered.cameras.intrinsics,
-        index_ratio=rendered.cameras.interface.index_ratio,
+        index_ratio=_index_ratio(rendered),
         down_in_cam=-rendered.cameras.cam_from_world_rotation[:, :, 2],
         down_sigma=0.0,
         height=torch.zeros(count, dtype=torch.float64),
@@ -41,6 +58,12 @@ def write_mask(capture: Capture, name: str, allowed: Tensor) -> None:
     path = capture.folder / "masks" / name
     path.parent.mkdir(parents=True, exist_ok=True)
     assert cv2.imwrite(str(path), (allowed.byte() * 255).numpy())
+
+
+def _index_ratio(rendered: Rendered) -> float:
+    ratio = rendered.cameras.interface.index_ratio
+    assert ratio is not None
+    return float(ratio)
 
 
 def images_of(rendered: Rendered, folder: Path) -> Images:
@@ -60,7 +83,7 @@ def sparse_reconstruction(rendered: Rendered, every: int = EVERY) -> Reconstruct
         rotation=rendered.cameras.cam_from_world_rotation,
         center=rendered.cameras.center_in_world,
         intrinsics=rendered.cameras.intrinsics,
-        index_ratio=float(rendered.cameras.interface.index_ratio),
+        index_ratio=_index_ratio(rendered),
         length_unit="cm",
         points=points,
         colors=torch.zeros(len(points), 3, dtype=torch.uint8),

@@ -36,6 +36,7 @@ def test_grey_values_are_those_of_the_file(capture):
 
     stored = cv2.imread(str(capture.paths[1]), cv2.IMREAD_GRAYSCALE)
 
+    assert stored is not None
     assert images.size == (120, 160)
     assert images.grey(1).dtype == torch.uint8
     assert images.grey(1).numpy().tolist() == stored.tolist()

@@ -34,7 +34,7 @@ def truth(step):
 
 
 def _inner(step, margin=4):
-    """Cells (40, 53) of the first image around which the other two found the surface everywhere, and no edge is near."""
+    """Cells (40, 53) of the first image whose surface another one has found, `margin` cells from the board's edge."""
     normals = step.normals[0, 1:120:3, 1:159:3]
     pixels, valid = step.cameras[1:, None].project(step.points[0, 1:120:3, 1:159:3].reshape(-1, 3))
     room = torch.minimum(pixels, pixels.new_tensor((160.0, 120.0)) - pixels).amin(dim=-1)
@@ -61,7 +61,7 @@ def test_the_map_shows_the_nearest_surface_where_others_found_it(step, seen, tru
 def test_what_is_hidden_is_not_shown(step, seen, truth):
     """Of all valid cells, none shows the bottom where the board is; none lies far behind the truth."""
     points, _ = truth
-    depth = ((points - step.cameras.center_in_world[0]) @ step.cameras.cam_from_world_rotation[0, 2])
+    depth = (points - step.cameras.center_in_world[0]) @ step.cameras.cam_from_world_rotation[0, 2]
     behind = seen.valid & (seen.depth > depth + 5.0)
 
     assert behind.sum() <= 0.01 * seen.valid.sum()

@@ -113,9 +113,9 @@ def test_a_point_stays_where_enough_images_found_it(cameras, map_of, wanted):
     fused = fuse(Patches.together(maps), cameras, CELL, wanted)
 
     points = maps[0].points
-    found = 1 + sum(_seen_by(cameras, image, points, margin=0.0).long() for image in (1, 2))
+    found = 1 + sum((_seen_by(cameras, i, points, margin=0.0).long() for i in (1, 2)), torch.tensor(0))
     of_first = {tuple(pixel) for pixel in fused.pixels[fused.reference == 0].tolist()}
-    inner = sum(_seen_by(cameras, image, points).long() for image in (1, 2)) + 1
+    inner = 1 + sum((_seen_by(cameras, i, points).long() for i in (1, 2)), torch.tensor(0))
     for pixel, most, least in zip(maps[0].pixels.tolist(), found.tolist(), inner.tolist(), strict=True):
         if least >= wanted:
             assert tuple(pixel) in of_first

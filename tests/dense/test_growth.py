@@ -107,7 +107,9 @@ def test_every_empty_cell_beside_filled_ones_gets_the_best_of_them(grid, draw, s
 def test_a_place_is_tried_again_for_a_better_plane_only_and_not_more_than_a_few_times(grid):
     """The neighbours of cell 40 are filled one after the other, by turns better and worse than all before."""
     offered = 0
-    for neighbour, score in zip((30, 31, 32, 39, 41, 48, 49, 50), (0.4, 0.3, 0.5, 0.2, 0.6, 0.5, 0.7, 0.8), strict=True):
+    for neighbour, score in zip(
+        (30, 31, 32, 39, 41, 48, 49, 50), (0.4, 0.3, 0.5, 0.2, 0.6, 0.5, 0.7, 0.8), strict=True
+    ):
         value = torch.tensor([score], dtype=torch.float64)
         grid.fill(torch.tensor([neighbour]), *_planes(value), value)
 

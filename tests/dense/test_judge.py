@@ -199,6 +199,15 @@ def test_stripes_say_something_of_the_distance_only_where_they_cross_the_base_li
     assert len(patches) == pytest.approx(believed * len(pixels), abs=0.2 * len(pixels) * believed)
 
 
+def test_a_mere_ramp_says_nothing_of_the_distance():
+    rendered = render([FLAT], _looking_down((0.0, 0.0, 30.0), (9.0, 0.0, 30.0)), lambda p: 128.0 + 3.0 * p[..., 0], 1.0)
+    pixels = _lattice()
+
+    patches, _ = refine(rendered.scope(NEAR, FAR, OPTIONS), pixels, _truth(rendered, pixels), AS_THEY_ARE)
+
+    assert len(patches) == 0
+
+
 def _waves(y: np.ndarray) -> np.ndarray:
     length = np.array((3.1, 4.7, 7.9))
     return 0.55 * np.sin(2.0 * np.pi * y[..., None] / length + length).sum(axis=-1)
@@ -207,13 +216,13 @@ def _waves(y: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("count", [2, 5])
 @pytest.mark.parametrize("interpolation", ["bilinear", "bicubic"])
 def test_sigma_is_the_scatter_that_noise_in_the_images_makes(draw, count, interpolation):
-    """Within a factor of two."""
+    """Within a factor of 1.7."""
     error, sigma = _trials(draw, count, interpolation, contrast=25.0, noise=3.0)
 
     found = error.isfinite().all(dim=0)
     assert found.double().mean() > 0.8
     ratio = error[:, found].std(dim=0) / sigma[:, found].square().mean(dim=0).sqrt()
-    assert 0.5 < ratio.square().mean().sqrt() < 2.0
+    assert 0.7 < ratio.square().mean().sqrt() < 1.7
     assert ((error / sigma)[:, found].abs() < 4.0).double().mean() > 0.97
 
 

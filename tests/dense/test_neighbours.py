@@ -94,7 +94,10 @@ def test_others_come_in_the_order_of_their_worth(make_row, generator):
 def test_no_more_than_the_wanted_neighbours(make_row):
     reconstruction = make_row(tuple(6.0 * i for i in range(8)))
 
-    every, few = find_neighbours(reconstruction, OPTIONS), find_neighbours(reconstruction, replace(OPTIONS, neighbours=3))
+    every, few = (
+        find_neighbours(reconstruction, OPTIONS),
+        find_neighbours(reconstruction, replace(OPTIONS, neighbours=3)),
+    )
 
     assert len(every[0].others) == 7
     for image in range(8):
@@ -104,9 +107,7 @@ def test_no_more_than_the_wanted_neighbours(make_row):
 def test_images_without_a_pose_are_nobodys_neighbour(make_row):
     reconstruction = make_row((0.0, 20.0, 30.0))
 
-    found = find_neighbours(
-        replace(reconstruction, registered=torch.tensor([True, False, True])), OPTIONS
-    )
+    found = find_neighbours(replace(reconstruction, registered=torch.tensor([True, False, True])), OPTIONS)
 
     assert {image: hood.others.tolist() for image, hood in found.items()} == {0: [2], 2: [0]}
 

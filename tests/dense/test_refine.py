@@ -88,6 +88,27 @@ def test_guesses_that_are_a_little_off_end_on_the_surface(draw, board, count, in
     assert ((patches.normals * (rendered.cameras.center_in_world[0] - patches.points)).sum(dim=-1) > 0.0).all()
 
 
+@pytest.mark.parametrize("side", ["near", "far"])
+def test_patches_that_leave_the_range_when_they_are_adjusted_are_refused(pond, side):
+    """The guesses lie within it, the surface does not."""
+    pixels = _lattice(4)
+    points, normals = pond.at(pixels)
+    origins, direction, _ = pond.cameras[0].cast_rays(pixels)
+    distance, inwards = (points - origins).norm(dim=-1), 1.0 if side == "near" else -1.0
+    middle = distance.median()
+    limit, guess = float(middle + 0.8 * inwards), middle + 1.0 * inwards
+    alike = (distance - middle).abs() < 0.4
+    planes = Planes((origins + guess * direction)[alike], normals[alike])
+    narrow = (limit, FAR) if side == "near" else (NEAR, limit)
+
+    wide_kept, narrow_kept = (
+        refine(pond.scope(near, far, OPTIONS), pixels[alike], planes, OPTIONS)[1] for near, far in ((NEAR, FAR), narrow)
+    )
+
+    assert len(wide_kept) > 20
+    assert len(narrow_kept) == 0
+
+
 def test_water_left_out_of_account_leaves_nothing_or_a_wrong_surface(draw, pond):
     pixels = _lattice()
     blind = replace(pond, cameras=pond.cameras.as_pinhole())

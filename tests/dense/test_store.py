@@ -140,7 +140,7 @@ def test_no_store_keeps_nothing(patches):
     assert store.load(0) is None
 
 
-class Interrupted(Exception):
+class PowerError(Exception):
     """The power fails."""
 
 
@@ -155,7 +155,7 @@ class _Interrupting:
 
     def save(self, image, patches):
         if self.saved == 1:
-            raise Interrupted
+            raise PowerError
         self.saved += 1
         self.store.save(image, patches)
 
@@ -165,7 +165,7 @@ def test_an_interrupted_run_ends_as_one_that_was_not(open_store, capture, recons
     options = replace(OPTIONS, method=method)
     whole = densify(capture, reconstruction, options)
 
-    with pytest.raises(Interrupted):
+    with pytest.raises(PowerError):
         densify(capture, reconstruction, options, store=_Interrupting(open_store(options=options)))
     kept = [image for image in (0, 1) if open_store(options=options).load(image) is not None]
     resumed = densify(capture, reconstruction, options, store=open_store(options=options))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from rendered_captures import images_of, sparse_reconstruction, write_capture, write_mask
+from rendered_captures import CountingRecorder, images_of, sparse_reconstruction, write_capture, write_mask
 from rendered_scenes import Board, cameras_around, marble, render
 
 from torchrefrac.dense import DenseOptions, densify
@@ -128,8 +128,10 @@ def test_tiles_give_the_surface_that_the_whole_image_gives_and_no_cell_twice(sho
     three = replace(shore, cameras=shore.cameras[torch.arange(3)], images=shore.images[:3], points=shore.points[:3])
     capture, reconstruction = write_capture(three, tmp_path), sparse_reconstruction(three)
 
+    recorders = CountingRecorder(), CountingRecorder()
     whole, tiled = (
-        densify(capture, reconstruction, replace(OPTIONS, method=method, max_tile=size)).patches for size in (160, 90)
+        densify(capture, reconstruction, replace(OPTIONS, method=method, max_tile=size), recorder).patches
+        for size, recorder in zip((160, 90), recorders, strict=True)
     )
 
     normal = torch.nn.functional.normalize(torch.tensor((0.5, 0.1, 1.0), dtype=torch.float64), dim=0)
@@ -142,3 +144,5 @@ def test_tiles_give_the_surface_that_the_whole_image_gives_and_no_cell_twice(sho
     assert (torch.cdist(whole.points, tiled.points).amin(dim=1) < 0.5).double().mean() > 0.98
     assert (tiled.points[:, 2] > 0.0).sum() > 100
     assert len(place.unique(dim=0)) == len(tiled)
+    for recorder in recorders:
+        assert recorder.done == recorder.total == 3 * (120 // 3) * (160 // 3)

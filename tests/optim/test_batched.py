@@ -176,19 +176,23 @@ def test_problems_that_leave_end_as_those_that_stay(problems, kind, iterations):
 
 
 def test_problems_that_have_converged_are_not_looked_at_again(draw):
-    """A third each needs one step, several steps, and has no way to go."""
+    """A third each needs one step, several steps, and has no way to go; a constant is left of the cost."""
+
+    def function(x, data):
+        return torch.cat(((x - data[:, :2]) ** data[:, 2:], torch.ones_like(x)), dim=1)
+
     goal = draw.normal(9, 2)
     powers = torch.tensor([1.0, 3.0, 1.0], dtype=torch.float64).repeat(3)[:, None]
     start = torch.where(torch.arange(9)[:, None] % 3 == 2, goal, goal + draw.uniform(1.0, 2.0, 9, 2))
-    squares = Squares(lambda x, data: (x - data[:, :2]) ** data[:, 2:], torch.cat((goal, powers), dim=1))
-    parting = Parting(squares)
+    parting = Parting(Squares(function, torch.cat((goal, powers), dim=1)))
 
     report = minimize_each(parting, start, 60)
 
     assert report.converged.all()
     assert parting.sizes[0] == 9
     assert parting.sizes[1] == 6
-    assert parting.sizes[-1] == 3
+    assert parting.sizes[-1] <= 3
+    assert parting.sizes == sorted(parting.sizes, reverse=True)
     torch.testing.assert_close(report.states[::3], goal[::3], rtol=0.0, atol=1e-3)
     assert torch.equal(report.states[2::3], goal[2::3])
 

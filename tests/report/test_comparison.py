@@ -8,7 +8,7 @@ import torch
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.report.comparison import compare
-from torchrefrac.scene import Reconstruction, load_truth, write_cameras, write_points
+from torchrefrac.scene import DenseCloud, Reconstruction, load_truth, write_cameras, write_dense, write_points
 from torchrefrac.scene.library import embedded_scene
 
 COMPLETE = {
@@ -84,3 +84,64 @@ def test_a_comparison_of_failures_alone_draws_nothing(tmp_path):
     (failed / "metrics.json").write_text(json.dumps({"status": "failed", "model": "none", "reason": "no images"}))
     assert "failed" in compare([failed], tmp_path)
     assert not list(tmp_path.glob("figure*"))
+
+
+DENSE = {
+    "dense_method": "patch", "dense_points": 1234567, "dense_accuracy_within_0.2_cm": 0.9567,
+    "dense_completeness_within_0.2_cm": 0.81, "dense_surface_median_cm": 0.05, "dense_plane_rms_cm": 0.0456,
+    "dense_plane_inliers": 0.97, "dense_patches_per_s": 12345.6, "seconds_dense": 123.4,
+}  # fmt: skip
+
+
+@pytest.fixture
+def make_dense_run(make_run, draw):
+    """`make_dense_run(name, model, ...)`: the same with a dense cloud."""
+
+    def make(name, model="refractive", scene="tank", **fields):
+        run = make_run(name, model, scene, **DENSE | fields)
+        points, numbers = draw.uniform(-100.0, -50.0, 40, 3), draw.uniform(0.5, 1.0, 40)
+        counts = torch.zeros(40, dtype=torch.long)
+        cloud = DenseCloud(points, draw.directions(40), points.to(torch.uint8), numbers, numbers, counts, counts, "cm")
+        write_dense(cloud, run / "dense.ply")
+        return run
+
+    return make
+
+
+def test_dense_runs_get_a_table_and_figures_of_their_own(make_run, make_dense_run, tmp_path):
+    runs = [make_run("0", "none"), make_dense_run("1", "radial"), make_dense_run("2", "refractive")]
+
+    table = compare(runs, tmp_path)
+
+    sparse, dense = table.split("\n\n")
+    assert [line.split("|")[1].strip() for line in sparse.splitlines()[2:]] == [
+        "No refraction", "Radial distortion, patch", "Refraction, patch",
+    ]  # fmt: skip
+    cells = [cell.strip() for cell in dense.splitlines()[2].split("|")[1:-1]]
+    assert cells == ["Radial distortion, patch", "1234567", "95.7 %", "81.0 %", "0.0456", "12346", "123.4"]
+    assert max(map(len, dense.splitlines())) <= 100
+    assert {path.name for path in tmp_path.glob("*.png")} == {"figure1.png", "dense_figure1.png", "dense_error_map.png"}
+
+
+def test_dense_runs_without_truth_have_no_errors_to_show(make_dense_run, tmp_path):
+    run = make_dense_run("0")
+    (tmp_path / "tank" / "truth.json").unlink()
+    known = json.loads((run / "metrics.json").read_text())
+    (run / "metrics.json").write_text(
+        json.dumps({name: value for name, value in known.items() if not name.endswith(("_cm", "_inliers"))})
+    )
+
+    table = compare([run], tmp_path)
+
+    assert [cell.strip() for cell in table.splitlines()[-1].split("|")[1:-1]] == [
+        "Refraction", "1234567", "12346", "123.4",
+    ]  # fmt: skip
+    assert {path.name for path in tmp_path.glob("*.png")} == {"figure1.png", "dense_figure1.png"}
+
+
+def test_dense_figures_of_several_scenes_are_named_after_them(make_dense_run, tmp_path):
+    compare([make_dense_run("0", scene="tank"), make_dense_run("1", scene="pond")], tmp_path)
+
+    assert {path.name for path in tmp_path.glob("dense_*")} == {
+        f"dense_{kind}_{scene}.png" for kind in ("figure1", "error_map") for scene in ("tank", "pond")
+    }

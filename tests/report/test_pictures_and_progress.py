@@ -9,6 +9,7 @@ import torch
 from torchrefrac.recorder import SilentRecorder
 from torchrefrac.report.figures import SideView, draw_side_views
 from torchrefrac.report.recorders import Recorders
+from torchrefrac.report.tensorboard import TensorBoardRecorder
 from torchrefrac.report.terminal import TerminalRecorder
 from torchrefrac.scene import load_truth
 from torchrefrac.scene.library import embedded_scene
@@ -60,3 +61,58 @@ def test_several_recorders_pass_each_item_once():
     both.note("a line")
     assert list(both.track([1, 2], 2, "stage", "item")) == [1, 2]
     assert "a line" in stream.getvalue()
+
+
+def test_work_that_comes_in_lumps_is_one_line_off_a_terminal():
+    stream = io.StringIO()
+
+    with TerminalRecorder(stream).meter(2000, "densifying", "cell") as advance:
+        advance(1500, "90 patches/s")
+        advance(500, "")
+
+    assert stream.getvalue().startswith("densifying   2000 cells in ")
+    assert stream.getvalue().endswith(" s, 90 patches/s\n")
+    assert stream.getvalue().count("\n") == 1
+
+
+def test_work_that_breaks_off_does_not_say_that_it_is_done():
+    stream = io.StringIO()
+
+    def work():
+        with TerminalRecorder(stream).meter(2000, "densifying", "cell") as advance:
+            advance(1500, "90 patches/s")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+
+    assert stream.getvalue() == ""
+
+
+def test_lumps_on_a_terminal_fit_100_columns():
+    stream = Terminal()
+
+    with TerminalRecorder(stream).meter(2000, "densifying", "cell") as advance:
+        advance(1500, "90 patches/s")
+        advance(500, "")
+
+    last = stream.getvalue().split("\r")[-1].rstrip("\n")
+    assert "100 %, 90 patches/s" in last
+    assert len(last) <= 100
+
+
+def test_several_recorders_hear_of_each_lump():
+    first, second = io.StringIO(), io.StringIO()
+    both = Recorders(TerminalRecorder(first), SilentRecorder(), TerminalRecorder(second))
+
+    with both.meter(3, "densifying", "cell") as advance:
+        advance(3, "fast")
+
+    assert [stream.getvalue().endswith(", fast\n") for stream in (first, second)] == [True, True]
+
+
+def test_tensorboard_takes_lumps_in_silence(tmp_path):
+    with TensorBoardRecorder(tmp_path) as board, board.meter(3, "densifying", "cell") as advance:
+        advance(3, "fast")
+
+    assert len(list(tmp_path.iterdir())) == 1

@@ -96,9 +96,9 @@ def _collect(
             told, parts = 0, [Patches.empty(options.views)]
             for scope in scopes(image, hoods[image], reconstruction.cameras, images, options):
                 before = Patches.together([*known, *parts]).to(scope.device)
-                for patches, filled in estimator(scope, before, reconstruction, options):
+                for patches, newly in estimator(scope, before, reconstruction, options):
                     parts.append(patches.padded(options.views).to(home))
-                    filled = min(filled, cells - told)  # tiles overlap
+                    filled = min(newly, cells - told)  # tiles overlap
                     made, told = made + len(patches), told + filled
                     advance(filled, f"{made / (time.perf_counter() - start):.0f} patches/s")
             advance(cells - told, "")

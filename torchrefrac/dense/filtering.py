@@ -2,7 +2,7 @@
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -20,7 +20,7 @@ def supported(patches: Patches, cell: int) -> Tensor:
     if count <= NEAREST:
         return torch.ones_like(patches.score, dtype=torch.bool)
     points = patches.points.numpy()
-    distance, index = cKDTree(points).query(points, k=NEAREST + 1, workers=1)
+    distance, index = KDTree(points).query(points, k=NEAREST + 1, workers=1)
     near = torch.from_numpy(distance[:, 1:]) < REACH * cell * patches.footprint[:, None]
     index = torch.from_numpy(np.ascontiguousarray(index[:, 1:]))
     offset = patches.points[index] - patches.points[:, None]

@@ -80,7 +80,7 @@ def dense_lines(metrics: dict[str, Any]) -> list[str]:
     """Of a dense stage, from the metrics of its run."""
     speed = f" ({metrics['dense_patches_per_s']:.0f} patches/s)" if "dense_patches_per_s" in metrics else ""
     again = metrics.get("dense_images_resumed")
-    resumed = f", {again} {'image' if again == 1 else 'images'} of which were finished before" if again else ""
+    resumed = f", with {again} {'image' if again == 1 else 'images'} from before" if again else ""
     lines = [
         f"dense ({metrics['dense_method']}): {metrics['dense_points']} points in {metrics['seconds_dense']:.1f} s"
         f"{speed}{resumed}, each in {metrics['dense_views_median']:.0f} images (median), score "
