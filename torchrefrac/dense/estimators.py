@@ -7,7 +7,7 @@ from torchrefrac.dense.growth import Cells, grow
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.scope import Scope
-from torchrefrac.dense.seeds import begin, cover, matched_seeds, sparse_seeds
+from torchrefrac.dense.seeds import begin, cover, cover_repeated, matched_seeds, sparse_seeds
 from torchrefrac.dense.sweep import sweep
 from torchrefrac.scene import Reconstruction
 
@@ -40,16 +40,15 @@ def grow_patches(
 def sweep_planes(
     scope: Scope, known: Patches, reconstruction: Reconstruction, options: DenseOptions
 ) -> Iterator[tuple[Patches, int]]:
-    """Every cell, from a plane sweep over all distances; independent of all other images.
-
-    Cells that have a patch already, from an earlier tile of the image, get no second one."""
+    """From a plane sweep over all distances, and outwards from what it finds. Cells that show what `maps` other images
+    have found already get no patch."""
     cells = Cells(scope, options.cell)
-    mine = known[known.reference == int(scope.ids[0])]
-    at, inside = cells.index(mine.pixels)
-    cells.fill(at[inside], mine.points[inside], mine.normals[inside], mine.score[inside])
-    cells.newly_filled()
+    cover_repeated(scope, cells, known, options.maps)
     pixels, planes, _ = sweep(scope, options)
     at, inside = cells.index(pixels)
+    at, planes = at[inside], planes[inside]
     for first in range(0, len(at), STEP):
         rows = slice(first, first + STEP)
-        yield begin(scope, cells, at[rows], planes[rows], options, start_level=0), cells.newly_filled()
+        yield begin(scope, cells, at[rows], planes[rows], options), cells.newly_filled()
+    for patches in grow(scope, cells, options):
+        yield patches, cells.newly_filled()

@@ -20,7 +20,7 @@ def supported(patches: Patches, cell: int) -> Tensor:
     if count <= NEAREST:
         return torch.ones_like(patches.score, dtype=torch.bool)
     points = patches.points.numpy()
-    distance, index = KDTree(points).query(points, k=NEAREST + 1, workers=1)
+    distance, index = (np.asarray(found) for found in KDTree(points).query(points, k=NEAREST + 1, workers=1))
     near = torch.from_numpy(distance[:, 1:]) < REACH * cell * patches.footprint[:, None]
     index = torch.from_numpy(np.ascontiguousarray(index[:, 1:]))
     offset = patches.points[index] - patches.points[:, None]

@@ -33,6 +33,7 @@ class DenseOptions:
     cell: one patch at most in every cell x cell pixels. window: of the patches, odd. interpolation of the other images.
     views: with how many others at most a patch is compared, of `neighbours` that its image has; min_views must agree
     (the reference included; two where there are only two images) to min_score, as zero-normalised cross-correlation.
+    maps: of the depth-map method, how many images find each piece of surface, before they are fused.
     angle_best and angle_max: between the rays of two images. max_slant: of a patch against the viewing ray.
     min_contrast: a window's standard deviation; noise: the least that is assumed of an image. max_sigma: of a patch
     along its ray, as the shift that it makes in the other images. loss_scale: of 1 - ZNCC, where an image begins to
@@ -51,6 +52,7 @@ class DenseOptions:
     neighbours: int = 10
     min_views: int = 3
     min_score: float = 0.75
+    maps: int = 3
     angle_best: float = 20.0
     angle_max: float = 60.0
     max_slant: float = 75.0
@@ -66,7 +68,7 @@ class DenseOptions:
     sweep: SweepOptions = field(default_factory=SweepOptions)
 
     def __post_init__(self) -> None:
-        for name in ("cell", "views", "neighbours", "levels", "batch", "max_tile"):
+        for name in ("cell", "views", "neighbours", "levels", "maps", "batch", "max_tile"):
             require(getattr(self, name), name, at_least=1)
         _require_window(self.window)
         require(self.min_views, "min_views", at_least=2)

@@ -70,15 +70,15 @@ class Comparison(NamedTuple):
         """Points (N, 3, 3) of the three corners at states (N, 3)."""
         return self.rays.at(states @ self.window.basis.to(states).T)
 
-    def at_matching_levels(self, states: Tensor, level: int, min_scale: float) -> "Comparison":
-        """With the copies of the other images that show the patches as large as the reference's copy `level` does.
+    def at_matching_levels(self, states: Tensor, min_scale: float) -> "Comparison":
+        """With the copies of the other images that show the patches about as large as the reference does.
 
         An image that shows one at less than `min_scale` of the reference's size is no longer present.
         """
         pixels, _, _ = self._project(states)
         scale = (_area(pixels).abs() / _area(self.window.corners).to(pixels)).sqrt()
-        fitting = level + torch.log2(scale.clamp(min=min_scale)).round().long()
-        return self._replace(level=fitting.clamp(0, self.atlas.levels - 1), present=self.present & (scale >= min_scale))
+        level = torch.log2(scale.clamp(min=1.0)).round().long().clamp(max=self.atlas.levels - 1)
+        return self._replace(level=level, present=self.present & (scale >= min_scale))
 
     def linearize(self, states: Tensor) -> Quadratic:
         """Costs, gradients and Gauss-Newton Hessians at states (N, 3): distance and two slopes."""

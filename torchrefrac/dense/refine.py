@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchrefrac.dense.judge import fewest_others, judge, plane_through
+from torchrefrac.dense.judge import fewest_others, judge
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.photometric import Comparison, unit_windows
@@ -46,20 +46,17 @@ class Subjects(NamedTuple):
     present: Tensor
 
 
-def refine(
-    scope: Scope, pixels: Tensor, planes: Planes, options: DenseOptions, start_level: int = 0
-) -> tuple[Patches, Tensor]:
+def refine(scope: Scope, pixels: Tensor, planes: Planes, options: DenseOptions) -> tuple[Patches, Tensor]:
     """Adjust patches centred at reference pixels (N, 2) from `planes` (N), in batches.
 
-    Returns those that are to be believed and which of the N they are. start_level: first adjust in copies halved so
-    many times, for guesses that are off by several pixels.
+    Returns those that are to be believed and which of the N they are. Guesses may be off by a pixel or two.
     """
     parts = [Patches.empty(min(options.views, scope.others), scope.device)]
     kept = [torch.zeros(0, dtype=torch.long, device=scope.device)]
     for first in range(0, len(pixels), options.batch):
         batch = slice(first, first + options.batch)
         subjects, rows = _choose(scope, pixels[batch], planes[batch], options)
-        comparison, states = _adjust(scope, subjects, options, start_level)
+        comparison, states = _adjust(scope, subjects, options)
         patches, good = judge(scope, comparison, states, subjects.pixels, subjects.rays, subjects.contrast, options)
         parts.append(patches)
         kept.append(rows[good] + first)
@@ -101,34 +98,23 @@ def _choose(scope: Scope, pixels: Tensor, planes: Planes, options: DenseOptions)
     ), kept
 
 
-def _adjust(scope: Scope, subjects: Subjects, options: DenseOptions, start_level: int) -> tuple[Comparison, Tensor]:
-    """Adjust from the smallest copies to the largest; returns the last comparison and the states (k, 3) it led to."""
-    points, normals = subjects.planes
-    level = start_level
-    while True:
-        window = Window(options.window, 2.0**level)
-        corners = PixelRays.cast(scope.cameras[0], subjects.pixels[:, None] + window.corners)
-        distances = corners.meet(points[:, None], normals[:, None])
-        states = distances @ torch.linalg.inv(window.basis).T
-        comparison = Comparison(
-            atlas=scope.atlas,
-            window=window,
-            cameras=scope.cameras[subjects.image[..., None]],
-            rays=corners,
-            reference=subjects.reference if level == 0 else _windows_at(scope, subjects.pixels, level, window),
-            image=subjects.image,
-            level=torch.zeros_like(subjects.image),
-            present=subjects.present,
-            tau=options.loss_scale,
-        ).at_matching_levels(states, level, MIN_SCALE)
-        if options.iterations:
-            states = minimize_each(comparison, states, options.iterations, TOLERANCE).states
-        if level == 0:
-            return comparison, states
-        points, normals = plane_through(comparison.corners(states))
-        level -= 1
-
-
-def _windows_at(scope: Scope, pixels: Tensor, level: int, window: Window) -> Tensor:
-    here = torch.zeros(len(pixels), dtype=torch.long, device=scope.device)
-    return unit_windows(scope.atlas, here, torch.full_like(here, level), pixels, window)[0]
+def _adjust(scope: Scope, subjects: Subjects, options: DenseOptions) -> tuple[Comparison, Tensor]:
+    """The comparison of the patches, and the states (k, 3) that it led to."""
+    window = Window(options.window)
+    corners = PixelRays.cast(scope.cameras[0], subjects.pixels[:, None] + window.corners.to(subjects.pixels))
+    distances = corners.meet(subjects.planes.points[:, None], subjects.planes.normals[:, None])
+    states = distances @ torch.linalg.inv(window.basis).T.to(distances)
+    comparison = Comparison(
+        atlas=scope.atlas,
+        window=window,
+        cameras=scope.cameras[subjects.image[..., None]],
+        rays=corners,
+        reference=subjects.reference,
+        image=subjects.image,
+        level=torch.zeros_like(subjects.image),
+        present=subjects.present,
+        tau=options.loss_scale,
+    ).at_matching_levels(states, MIN_SCALE)
+    if options.iterations:
+        states = minimize_each(comparison, states, options.iterations, TOLERANCE).states
+    return comparison, states

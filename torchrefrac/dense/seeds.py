@@ -23,20 +23,37 @@ FIRST_SCORE = 0.5  # of a candidate whose slant is not yet known
 def cover(scope: Scope, cells: Cells, known: Patches, options: DenseOptions) -> None:
     """Fill the cells in which a known patch is seen, without a new one: its own comparison has shown it, or the
     reference agrees with another image about it as it is. New patches grow from them, too."""
+    at, facing, shown = _seen(scope, cells, known)
+    rows = (facing & shown).nonzero()[:, 0]
+    cells.fill(at[rows], known.points[rows], known.normals[rows], known.score[rows])
+    rows = first_of_each(at, facing & ~shown & ~cells.filled[at])
+    pixels, _ = scope.cameras[0].project(known.points[rows])
+    as_it_is = replace(options, iterations=0, views=1, min_views=2)
+    seen, good = refine(scope, pixels, Planes(known.points[rows], known.normals[rows]), as_it_is)
+    rows = rows[good]
+    cells.fill(at[rows], known.points[rows], known.normals[rows], seen.score)
+
+
+def cover_repeated(scope: Scope, cells: Cells, known: Patches, maps: int) -> None:
+    """Fill the cells in which patches of `maps` other images have been shown to be seen, or one of the reference."""
+    at, facing, shown = _seen(scope, cells, known)
+    rows = (facing & shown).nonzero()[:, 0]
+    mine = known.reference[rows] == scope.ids[0]
+    pairs = torch.stack((at[rows], known.reference[rows]), dim=-1)[~mine].unique(dim=0)
+    times = torch.bincount(pairs[:, 0], minlength=len(cells.filled))
+    rows = rows[mine | (times[at[rows]] >= maps)]
+    cells.fill(at[rows], known.points[rows], known.normals[rows], known.score[rows])
+
+
+def _seen(scope: Scope, cells: Cells, known: Patches) -> tuple[Tensor, Tensor, Tensor]:
+    """For each known patch (N) the cell that it lies in, whether it lies in one and faces the reference, and whether
+    its own comparison has shown that the reference sees it."""
     camera = scope.cameras[0]
     pixels, valid = camera.project(known.points, inside_image=True)
     at, inside = cells.index(pixels)
     facing = (known.normals * (camera.center_in_world - known.points)).sum(dim=-1) > 0
-    usable = valid & inside & facing
-    image = int(scope.ids[0])
-    shown = (known.reference == image) | ((known.others == image) & known.visible).any(dim=1)
-    rows = (usable & shown).nonzero()[:, 0]
-    cells.fill(at[rows], known.points[rows], known.normals[rows], known.score[rows])
-    rows = first_of_each(at, usable & ~shown & ~cells.filled[at])
-    as_it_is = replace(options, iterations=0, views=1, min_views=2)
-    seen, good = refine(scope, pixels[rows], Planes(known.points[rows], known.normals[rows]), as_it_is)
-    rows = rows[good]
-    cells.fill(at[rows], known.points[rows], known.normals[rows], seen.score)
+    shown = (known.reference == scope.ids[0]) | ((known.others == scope.ids[0]) & known.visible).any(dim=1)
+    return at, valid & inside & facing, shown
 
 
 def sparse_seeds(scope: Scope, cells: Cells, reconstruction: Reconstruction, options: DenseOptions) -> Patches:
@@ -74,12 +91,10 @@ def matched_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Patches:
     return begin(scope, cells, at[rows[point[best]]], planes[best], options)
 
 
-def begin(
-    scope: Scope, cells: Cells, at: Tensor, planes: Planes, options: DenseOptions, start_level: int = 0
-) -> Patches:
+def begin(scope: Scope, cells: Cells, at: Tensor, planes: Planes, options: DenseOptions) -> Patches:
     """Refine one patch in each empty cell of `at` (k), from its first plane, and fill the cells."""
     rows = first_of_each(at, ~cells.filled[at])
-    patches, good = refine(scope, cells.pixels[at[rows]], planes[rows], options, start_level)
+    patches, good = refine(scope, cells.pixels[at[rows]], planes[rows], options)
     cells.fill(at[rows[good]], patches.points, patches.normals, patches.score)
     return patches
 

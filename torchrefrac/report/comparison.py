@@ -116,7 +116,7 @@ def _dense_table(runs: Sequence[tuple[dict[str, Any], str]]) -> str:
     near = f"within_{TYPICAL:g}_{unit}"
     header = ["dense", "points", "patches/s", "seconds"]
     if unit:
-        header[2:2] = [f"within {TYPICAL:g} {unit}", "found", f"plane RMS ({unit})"]
+        header[2:2] = [f"within {TYPICAL:g} {unit}", "found", f"RMS ({unit})"]
     rows = []
     for m, label in runs:
         row = [label, str(m["dense_points"])]
