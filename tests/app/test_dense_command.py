@@ -519,6 +519,7 @@ def test_the_command_explains_itself(torchrefrac):
         ({"sweep": {"planes": 1}}, "dense.sweep.planes is 1, but must be finite and at least 2"),
         ({"sweep": {"min_score": 0.0}}, "dense.sweep.min_score is 0, but must lie between 0 and 1"),
         ({"method": "depthmap", "levels": 2}, "dense.levels is 2, but a sweep in copies that are halved 2 times needs"),
+        ({"device": "abacus"}, "dense.device is 'abacus', which PyTorch cannot use here: "),
         ({"cel": 3}, "dense.cel is not an option; known here are method, cell, window"),
     ],
 )

@@ -30,7 +30,7 @@ def judge(
     Enough images must agree, the patch must face the camera, lie between near and far, and be determined: sigma times
     the motion in the other images stays below `max_sigma` pixels.
     """
-    agreement = comparison.agreement(states)
+    agreement = comparison.agreement(states, with_rows=True)
     visible = agreement.usable & (agreement.zncc >= options.min_score)
     count = visible.sum(dim=1)
     score = (torch.where(visible, agreement.zncc, 0.0).sum(dim=1) / count.clamp(min=1)).to(states)
@@ -81,15 +81,20 @@ def _sigma(
     """Standard deviation of the distances (k) from noise, and where the images determine all of a patch (k).
 
     The variance of the residuals f^ - g^, each sample's, is what is left of them, but at least what `noise` grey levels
-    in both windows make.
+    in both windows make. One half is the reference's own, which all images share: with the derivatives J_v of g^_v and
+    H = sum J_v^T J_v, the covariance is H^-1 (H + (sum J_v)^T (sum J_v)) H^-1 / 2 times that variance.
     """
     samples = window.size**2
     freedom = samples - 2 - CORNERS / visible.sum(dim=1).clamp(min=1)
     left = 2.0 * (1.0 - score) / freedom
     floor = 2.0 * (options.noise / contrast.clamp(min=options.min_contrast)).square() / samples
+    assert agreement.rows is not None
     hessian = torch.where(visible[..., None, None], agreement.hessian, 0.0).sum(dim=1).to(score)
-    covariance, exists = covariance_of(hessian)
-    return (torch.maximum(left, floor) * covariance[:, 0, 0]).sqrt(), exists
+    together = torch.where(visible[..., None, None], agreement.rows, 0.0).sum(dim=1).to(score)
+    inverse, exists = covariance_of(hessian)
+    of_distance = inverse[:, :1]
+    shared = (of_distance @ together).square().sum(dim=(1, 2))
+    return (0.5 * torch.maximum(left, floor) * (of_distance[:, 0, 0] + shared)).sqrt(), exists
 
 
 def _footprint(corners: Tensor, sight: Tensor, window: Window) -> Tensor:

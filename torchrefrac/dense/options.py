@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+import torch
+
 from torchrefrac.checks import require
 
 Method = Literal["none", "patch", "depthmap"]
@@ -89,6 +91,7 @@ class DenseOptions:
             )
         require(self.min_contrast, "min_contrast", at_least=0.0)
         require(self.iterations, "iterations", at_least=0)
+        _require_device(self.device)
         if self.method == "depthmap" and self.levels <= max(self.sweep.level, 1):
             raise ValueError(
                 f"levels is {self.levels}, but a sweep in copies that are halved {self.sweep.level} times needs "
@@ -104,3 +107,13 @@ def _require_window(window: int) -> None:
 def _require_score(score: float) -> None:
     if not 0.0 < score < 1.0:
         raise ValueError(f"min_score is {score:g}, but must lie between 0 and 1")
+
+
+def _require_device(name: str) -> None:
+    if name == "cpu":
+        return
+    try:
+        torch.empty(0, device=name)
+    except (RuntimeError, AssertionError) as error:  # an assertion where PyTorch was built without CUDA
+        reason = str(error).split("\n", maxsplit=1)[0]
+        raise ValueError(f"device is {name!r}, which PyTorch cannot use here: {reason}") from None

@@ -28,13 +28,15 @@ TINY = 1e-6  # squared norm of a window without any texture
 
 class Agreement(NamedTuple):
     """zncc (N, V) and where it means something (N, V); gradient (N, V, 3), hessian (N, V, 3, 3) of c = 1 - ZNCC; motion
-    (N, V): pixels by which the patch moves in the image per unit of its distance."""
+    (N, V): pixels by which the patch moves in the image per unit of its distance; rows (N, V, 3, K), where asked for:
+    derivatives of g^, each state's."""
 
     zncc: Tensor
     usable: Tensor
     motion: Tensor
     gradient: Tensor
     hessian: Tensor
+    rows: Tensor | None
 
 
 class Comparison(NamedTuple):
@@ -93,7 +95,7 @@ class Comparison(NamedTuple):
             (weight[..., None, None] * agreement.hessian).sum(dim=1).to(states),
         )
 
-    def agreement(self, states: Tensor) -> Agreement:
+    def agreement(self, states: Tensor, with_rows: bool = False) -> Agreement:
         """ZNCC of the patches at states (N, 3) in each image and its derivatives, exact for the sampled images."""
         shape = self.image.shape
         image, level = self.image.flatten(), self.level.flatten()
@@ -116,12 +118,17 @@ class Comparison(NamedTuple):
         by_g = (gram[:, :3, 3] @ to_state.T) * per_norm.square()
         squares = (to_state @ gram[:, :3, :3] @ to_state.T) * per_norm.square()[..., None]
         zncc = gram[:, 3, 4] * per_norm[:, 0]
+        rows = None
+        if with_rows:
+            by_values = to_state @ vectors[:, :3] - by_g[:, :, None] * vectors[:, 3:4]
+            rows = (by_values * per_norm[..., None]).view(*shape, 3, -1)
         return Agreement(
             zncc.view(shape),
             usable.view(shape) & self.present,
             along.mean(dim=1).norm(dim=-1).view(shape),
             (by_g * zncc[:, None] - by_f).view(*shape, 3),
             (squares - by_g[:, :, None] * by_g[:, None, :]).view(*shape, 3, 3),
+            rows,
         )
 
     def _project(self, states: Tensor) -> tuple[Tensor, Tensor, Tensor]:

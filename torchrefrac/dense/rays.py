@@ -1,4 +1,4 @@
-"""What a pixel looks along: a ray that is bent once, at the water, and may end before or after it."""
+"""What a pixel looks along: a ray that is bent at the water, and may end before or after it."""
 
 from typing import NamedTuple
 
@@ -11,9 +11,11 @@ from torchrefrac.camera import RefractiveCamera, projection_parts
 class PixelRays(NamedTuple):
     """Rays (*B) parametrised by one signed distance: 0 at the water, positive beyond it, negative on the camera's side.
 
-    origin (*B, 3): where the ray enters the water; before, after (*B, 3): unit directions on either side.
+    entry, origin (*B, 3): where the ray meets the first surface, and where it enters the last medium, the same point of
+    a water surface; before, after (*B, 3): unit directions on either side. Nothing lies within a wall between the two.
     """
 
+    entry: Tensor
     origin: Tensor
     before: Tensor
     after: Tensor
@@ -21,13 +23,21 @@ class PixelRays(NamedTuple):
     @classmethod
     def cast(cls, camera: RefractiveCamera, pixels: Tensor) -> "PixelRays":
         """Those of pixels (*B, 2). A ray that never meets the water is straight and starts at the centre."""
-        origin, before, after, _ = camera.follow_rays(pixels)
-        return cls(origin, before, after)
+        origin, before, after, valid = camera.follow_rays(pixels)
+        entry = origin
+        if len(camera.interface.indices) > 2:  # a wall
+            plane = camera.plane_in_world()
+            center = camera.center_in_world.expand(before.shape)
+            approach = -(plane.normal_like(before) * before).sum(dim=-1)
+            way = plane.signed_distance(center) / torch.where(valid, approach, 1.0)
+            entry = torch.where(valid[..., None], center + way[..., None] * before, origin)
+        return cls(entry, origin, before, after)
 
     def at(self, distance: Tensor) -> Tensor:
         """Points (*B, 3) at distances (*B)."""
-        direction = torch.where((distance < 0)[..., None], self.before, self.after)
-        return self.origin + distance[..., None] * direction
+        nearer = (distance < 0)[..., None]
+        start = self.origin if self.entry is self.origin else torch.where(nearer, self.entry, self.origin)
+        return start + distance[..., None] * torch.where(nearer, self.before, self.after)
 
     def direction_at(self, distance: Tensor) -> Tensor:
         """Derivatives (*B, 3) of `at`."""
@@ -38,20 +48,20 @@ class PixelRays(NamedTuple):
 
         A ray that meets it on the camera's side is met there. Infinite or far where a ray runs along the plane.
         """
-        height = ((point - self.origin) * normal).sum(dim=-1)
-        beyond = height / (self.after * normal).sum(dim=-1)
-        here = height / (self.before * normal).sum(dim=-1)
+        beyond = ((point - self.origin) * normal).sum(dim=-1) / (self.after * normal).sum(dim=-1)
+        here = ((point - self.entry) * normal).sum(dim=-1) / (self.before * normal).sum(dim=-1)
         return torch.where(here < 0, here, beyond)
 
     def distance_of(self, points: Tensor) -> Tensor:
         """Distances (*B) of the points of the rays that are nearest to `points` (*B, 3)."""
-        offset = points - self.origin
-        beyond = (offset * self.after).sum(dim=-1)
-        here = (offset * self.before).sum(dim=-1)
+        beyond = ((points - self.origin) * self.after).sum(dim=-1)
+        here = ((points - self.entry) * self.before).sum(dim=-1)
         return torch.where((beyond < 0) | (here < 0), here.clamp(max=0.0), beyond)
 
     def __getitem__(self, index: Tensor | tuple[Tensor | slice | None, ...]) -> "PixelRays":  # type: ignore[override]
-        return PixelRays(self.origin[index], self.before[index], self.after[index])
+        origin = self.origin[index]
+        entry = origin if self.entry is self.origin else self.entry[index]
+        return PixelRays(entry, origin, self.before[index], self.after[index])
 
 
 def project_moving(camera: RefractiveCamera, points: Tensor, direction: Tensor) -> tuple[Tensor, Tensor, Tensor]:
