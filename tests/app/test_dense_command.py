@@ -330,7 +330,7 @@ def test_completeness_is_measured_where_true_points_are_known(torchrefrac, place
     assert ended.status == 0
     found = metrics(place / "run")
     assert 0.0 <= found["dense_completeness_within_0.1_cm"] < found["dense_completeness_within_0.5_cm"] < 1.0
-    assert " % of the textured surface found" in ended.out.replace("\n  ", " ")
+    assert " % of the textured surface has one within 0.5 cm" in ended.out.replace("\n  ", " ")
 
 
 def test_true_points_of_other_images_are_refused(torchrefrac, place):

@@ -88,7 +88,7 @@ def test_a_comparison_of_failures_alone_draws_nothing(tmp_path):
 
 DENSE = {
     "dense_method": "patch", "dense_points": 1234567, "dense_accuracy_within_0.2_cm": 0.9567,
-    "dense_completeness_within_0.2_cm": 0.81, "dense_surface_median_cm": 0.05, "dense_plane_rms_cm": 0.0456,
+    "dense_completeness_within_0.5_cm": 0.81, "dense_surface_median_cm": 0.05, "dense_plane_rms_cm": 0.0456,
     "dense_plane_inliers": 0.97, "dense_patches_per_s": 12345.6, "seconds_dense": 123.4,
 }  # fmt: skip
 

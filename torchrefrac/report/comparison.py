@@ -8,7 +8,7 @@ from typing import Any
 
 from torchrefrac.geometry import Similarity
 from torchrefrac.report.dense_figures import dense_view, draw_dense_views, draw_error_map, error_panel
-from torchrefrac.report.dense_metrics import TYPICAL
+from torchrefrac.report.dense_metrics import FOUND, TYPICAL
 from torchrefrac.report.dense_outputs import DENSE_CLOUD
 from torchrefrac.report.figures import TITLES, draw_side_views, side_view
 from torchrefrac.report.metrics import evaluate
@@ -109,11 +109,11 @@ def _table(metrics: Sequence[dict[str, Any]], labels: Sequence[str]) -> str:
 def _dense_table(runs: Sequence[tuple[dict[str, Any], str]]) -> str:
     """The same of dense surfaces.
 
-    Share of the points that lie near the true surface, share of the textured true surface that has points, RMS distance
-    of the inliers from the true planes.
+    Share of the points that lie near the true surface, share of the textured true surface that has points near it
+    (found), RMS distance of the inliers from the true planes.
     """
     unit = _unit([m for m, _ in runs], "dense_surface_median_")
-    near = f"within_{TYPICAL:g}_{unit}"
+    near, found = (f"within_{limit:g}_{unit}" for limit in (TYPICAL, FOUND))
     header = ["dense", "points", "patches/s", "seconds"]
     if unit:
         header[2:2] = [f"within {TYPICAL:g} {unit}", "found", f"RMS ({unit})"]
@@ -121,7 +121,7 @@ def _dense_table(runs: Sequence[tuple[dict[str, Any], str]]) -> str:
     for m, label in runs:
         row = [label, str(m["dense_points"])]
         if unit:
-            row += [_percent(m.get(f"dense_accuracy_{near}")), _percent(m.get(f"dense_completeness_{near}"))]
+            row += [_percent(m.get(f"dense_accuracy_{near}")), _percent(m.get(f"dense_completeness_{found}"))]
             row.append(_number(m.get(f"dense_plane_rms_{unit}")))
         rows.append([*row, f"{m.get('dense_patches_per_s', 0.0):.0f}", f"{m.get('seconds_dense', 0.0):.1f}"])
     return _markdown(header, rows)

@@ -14,7 +14,7 @@ from torchrefrac.scene.truth import Truth
 from torchrefrac.scene.truth_points import TruthPoints
 
 WITHIN = (0.1, 0.2, 0.5)
-TYPICAL = WITHIN[1]  # where there is room for one
+TYPICAL, FOUND = WITHIN[1:]  # where there is room for one: of accuracy, of completeness
 MAD_TO_SIGMA = 1.4826  # the standard deviation of a normal distribution over its median absolute deviation
 INLIER_SIGMAS = 3.0
 SAME_PLACE = 1.5  # times the distance between neighbouring entries: two images' entries of one place are nearer

@@ -4,7 +4,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from torchrefrac.report.dense_metrics import TYPICAL
+from torchrefrac.report.dense_metrics import FOUND, TYPICAL
 from torchrefrac.report.terminal import WIDTH
 
 LEFT_OUT = {
@@ -93,7 +93,8 @@ def dense_lines(metrics: dict[str, Any]) -> list[str]:
     near = f"{TYPICAL:g}_{unit}"
     line = f"dense against truth: {100.0 * metrics[f'dense_accuracy_within_{near}']:.1f} % of the points within "
     line += f"{TYPICAL:g} {unit} of the surface"
-    if f"dense_completeness_within_{near}" in metrics:
-        line += f", {100.0 * metrics[f'dense_completeness_within_{near}']:.1f} % of the textured surface found"
+    complete = metrics.get(f"dense_completeness_within_{FOUND:g}_{unit}")
+    if complete is not None:
+        line += f", {100.0 * complete:.1f} % of the textured surface has one within {FOUND:g} {unit}"
     line += f", {metrics[f'dense_plane_rms_{unit}']:.4f} {unit} RMS from its planes"
     return [*lines, f"{line} ({100.0 * metrics['dense_plane_inliers']:.0f} % inliers)"]

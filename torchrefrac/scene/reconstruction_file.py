@@ -79,7 +79,7 @@ def load_cameras(path: Path) -> Reconstruction:
         image=empty,
         point=empty,
         pixels=torch.zeros(0, 2, dtype=torch.float64),
-        failures={image["name"]: image["reason"] for image in images if not image["registered"]},
+        failures={image["name"]: image.get("reason", "") for image in images if not image["registered"]},
     )
 
 
