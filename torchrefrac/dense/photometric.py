@@ -121,7 +121,7 @@ class Comparison(NamedTuple):
         rows = None
         if with_rows:
             by_values = to_state @ vectors[:, :3] - by_g[:, :, None] * vectors[:, 3:4]
-            rows = (by_values * per_norm[..., None]).view(*shape, 3, -1)
+            rows = (by_values * per_norm[..., None]).view(*shape, 3, weights.shape[0])
         return Agreement(
             zncc.view(shape),
             usable.view(shape) & self.present,
