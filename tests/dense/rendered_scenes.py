@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.dense.atlas import Atlas
+from torchrefrac.dense.interest_points import InterestPoints, detect_interest_points
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.scope import Scope
 from torchrefrac.refraction import FlatInterface
@@ -39,7 +40,12 @@ class Rendered:
         """The first image is the reference, the tile all of it."""
         count, height, width = self.images.shape
         atlas = Atlas.build(list(self.images), options.levels, mode=options.interpolation)
-        return Scope(torch.arange(count), self.cameras, atlas, allowed, near, far, (0, 0, width, height))
+
+        def interest_points(image: int) -> InterestPoints:
+            return detect_interest_points(self.images[image].float(), per_cell=1)
+
+        tile = (0, 0, width, height)
+        return Scope(torch.arange(count), self.cameras, atlas, allowed, near, far, tile, interest_points)
 
     def at(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
         """Points and unit normals (k, 3) that the reference shows at pixels (k, 2), which are middles of pixels."""

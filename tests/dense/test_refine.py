@@ -10,12 +10,14 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.dense.atlas import Atlas
+from torchrefrac.dense.interest_points import InterestPoints
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.refine import Planes, choose_views, refine
 from torchrefrac.dense.scope import Scope
 from torchrefrac.refraction import FlatInterface
 
 OPTIONS = DenseOptions()
+NO_POINTS = InterestPoints(torch.zeros(0, 2), torch.zeros(0, dtype=torch.long))
 FLAT = Board((0.0, 0.0, -40.0))
 NEAR, FAR = 20.0, 90.0
 
@@ -246,7 +248,7 @@ def _looking_at_the_origin(angles_deg):
     rotation = torch.stack((right, torch.linalg.cross(forward, right), forward), dim=-2)
     cameras = RefractiveCamera(Intrinsics.create(160, 120, 150.0), rotation, center, FlatInterface(1.33))
     atlas = Atlas.build([torch.zeros(120, 160)] * len(angle), 1)
-    return Scope(torch.arange(len(angle)), cameras, atlas, None, -50.0, 50.0, (0, 0, 160, 120))
+    return Scope(torch.arange(len(angle)), cameras, atlas, None, -50.0, 50.0, (0, 0, 160, 120), lambda _: NO_POINTS)
 
 
 def test_images_at_the_best_angle_come_first_and_none_beyond_the_largest():

@@ -13,8 +13,9 @@ from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.refine import Planes, refine
 from torchrefrac.dense.scope import Scope
 
-AROUND = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 TRIES = 3
+RINGS = 2  # cells by which growth may step at once; a wave costs about the same, however many cells it has
+UNTRIED = -float(RINGS)  # below what any neighbour offers
 
 
 class Cells:
@@ -30,13 +31,11 @@ class Cells:
         self.cell = cell
         self._told = 0
         self.filled = torch.zeros(count, dtype=torch.bool, device=device)
-        self.score = torch.full((count,), -1.0, dtype=torch.float64, device=device)
+        self.score = torch.full((count,), UNTRIED, dtype=torch.float64, device=device)
         self.points = torch.zeros(count, 3, dtype=torch.float64, device=device)
         self.normals = torch.zeros(count, 3, dtype=torch.float64, device=device)
         self.tries = torch.zeros(count, dtype=torch.long, device=device)
-        self.tried_score = torch.full(
-            (count,), -1.0, dtype=torch.float64, device=device
-        )  # the best plane that has failed here
+        self.tried = self.score.clone()  # what the best plane that has failed here was worth
 
     def index(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
         """Cells (N) that pixels (N, 2) lie in, and which lie in one (N)."""
@@ -63,26 +62,21 @@ class Cells:
         return self._told - before
 
     def frontier(self) -> tuple[Tensor, Tensor]:
-        """Empty cells (k) beside filled ones, and of these the one (k) whose plane is to be tried: the best.
+        """Empty cells (k) near filled ones, and of these the one (k) whose plane is to be tried: the best of the next.
 
-        Only where it is better than what was tried before.
+        Only where it is better or nearer than what was tried before.
         """
-        score = self.score.view(self.rows, self.columns)
-        padded = torch.nn.functional.pad(score[None, None], (1, 1, 1, 1), value=-1.0)[0, 0]
-        best = torch.full_like(score, -1.0)
-        source = torch.zeros_like(score, dtype=torch.long)
-        here = torch.arange(len(self.score), device=score.device).view(self.rows, self.columns)
-        for down, right in AROUND:
-            there = padded[1 + down : 1 + down + self.rows, 1 + right : 1 + right + self.columns]
-            better = there > best
-            best = torch.where(better, there, best)
-            source = torch.where(better, here + down * self.columns + right, source)
-        best = best.flatten()
-        open_cells = (~self.filled) & (best > self.tried_score) & (self.tries < TRIES) & (best > 0.0)
-        cells = open_cells.nonzero()[:, 0]
+        score = self.score.view(1, 1, self.rows, self.columns)
+        best, source = torch.full_like(self.score, UNTRIED), torch.zeros_like(self.tries)
+        for ring in range(RINGS):
+            found, at = torch.nn.functional.max_pool2d(score, 2 * ring + 3, 1, ring + 1, return_indices=True)
+            offer = found.flatten() - ring  # a nearer plane is worth more than any farther one
+            better = offer > best
+            best, source = torch.where(better, offer, best), torch.where(better, at.flatten(), source)
+        cells = (~self.filled & (best > self.tried) & (self.tries < TRIES)).nonzero()[:, 0]
         self.tries[cells] += 1
-        self.tried_score[cells] = best[cells]
-        return cells, source.flatten()[cells]
+        self.tried[cells] = best[cells]
+        return cells, source[cells]
 
 
 def grow(scope: Scope, cells: Cells, options: DenseOptions) -> Iterator[Patches]:

@@ -6,10 +6,12 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torchrefrac.dense.interest_points import InterestPoints, detect_interest_points
 from torchrefrac.scene import Capture, CaptureError
 from torchrefrac.scene.capture_file import read_color, read_grey
 
 MASKS = "masks"
+PART, BESIDE = 2048, 32  # pixels across of what is searched for interest points at once, and that it looks beyond
 
 
 class Images:
@@ -25,6 +27,7 @@ class Images:
         self._masks = [_mask_path(capture, name) for name in capture.names]
         self.grey = lru_cache(maxsize=kept)(self._grey)
         self.allowed = lru_cache(maxsize=kept)(self._allowed)
+        self.interest_points = lru_cache(maxsize=None)(self._interest_points)
 
     @property
     def has_masks(self) -> bool:
@@ -48,6 +51,22 @@ class Images:
         if not path.is_file():
             raise CaptureError(f"{path} does not exist any more, but the reconstruction has its pose; put it back")
         return self._sized(torch.from_numpy(read_grey(path)), path)
+
+    def _interest_points(self, image: int) -> InterestPoints:
+        """One corner and one blob at most in every block of an image, found part by part."""
+        grey = self.grey(image)
+        height, width = self.size
+        found = []
+        for top in range(0, height, PART):
+            for left in range(0, width, PART):
+                y, x = max(top - BESIDE, 0), max(left - BESIDE, 0)
+                part = grey[y : top + PART + BESIDE, x : left + PART + BESIDE].float()
+                points = detect_interest_points(part, per_cell=1)
+                pixels = points.pixels + points.pixels.new_tensor((x, y))
+                low, high = pixels.new_tensor((left, top)), pixels.new_tensor((left + PART, top + PART))
+                mine = ((pixels >= low) & (pixels < high)).all(dim=-1)
+                found.append((pixels[mine], points.kind[mine]))
+        return InterestPoints(*(torch.cat(parts) for parts in zip(*found, strict=True)))
 
     def _allowed(self, image: int) -> Tensor:
         """(height, width) which pixels the mask lets through."""

@@ -13,9 +13,11 @@ from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.view_angle import angle_between, fitness
 from torchrefrac.dense.window import Window
+from torchrefrac.dense.workers import side_by_side
 from torchrefrac.optim.batched import minimize_each
 
 TOLERANCE = 1e-3  # of the cost: an adjustment ends within a fifth of a standard deviation
+SIDE_BY_SIDE, FEWEST = 4, 1024  # batches, and patches in one of these
 MIN_SCALE = 0.4  # of an image against the reference: one that shows the surface smaller than this is not compared
 
 
@@ -51,16 +53,19 @@ def refine(scope: Scope, pixels: Tensor, planes: Planes, options: DenseOptions) 
 
     Returns those that are to be believed and which of the N they are. Guesses may be off by a pixel or two.
     """
-    parts = [Patches.empty(min(options.views, scope.others), scope.device)]
-    kept = [torch.zeros(0, dtype=torch.long, device=scope.device)]
-    for first in range(0, len(pixels), options.batch):
-        batch = slice(first, first + options.batch)
-        subjects, rows = _choose(scope, pixels[batch], planes[batch], options)
+
+    def adjusted(rows: slice) -> tuple[Patches, Tensor]:
+        subjects, chosen = _choose(scope, pixels[rows], planes[rows], options)
         comparison, states = _adjust(scope, subjects, options)
         patches, good = judge(scope, comparison, states, subjects.pixels, subjects.rays, subjects.contrast, options)
-        parts.append(patches)
-        kept.append(rows[good] + first)
-    return Patches.together(parts), torch.cat(kept)
+        return patches, chosen[good] + rows.start
+
+    results = side_by_side(adjusted, _batches(len(pixels), options.batch), scope.device)
+    nothing = Patches.empty(min(options.views, scope.others), scope.device)
+    return (
+        Patches.together([nothing, *(patches for patches, _ in results)]),
+        torch.cat([nothing.reference, *(rows for _, rows in results)]),
+    )
 
 
 def choose_views(scope: Scope, points: Tensor, options: DenseOptions) -> tuple[Tensor, Tensor]:
@@ -76,6 +81,12 @@ def choose_views(scope: Scope, points: Tensor, options: DenseOptions) -> tuple[T
     fits = torch.where(seen, fitness(angle, options), 0.0)
     best = fits.T.topk(min(options.views, scope.others), dim=1)
     return local[best.indices], best.values > 0.0
+
+
+def _batches(count: int, most: int) -> list[slice]:
+    """Of at most so many, and if that leaves fewer than `SIDE_BY_SIDE`, smaller ones; the same on every machine."""
+    parts = max(-(-count // most), min(SIDE_BY_SIDE, count // FEWEST), 1)
+    return [slice(part * count // parts, (part + 1) * count // parts) for part in range(parts)] if count else []
 
 
 def _choose(scope: Scope, pixels: Tensor, planes: Planes, options: DenseOptions) -> tuple[Subjects, Tensor]:

@@ -1,5 +1,6 @@
 """One reference image, or a tile of it, with the images that it is compared with."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -7,6 +8,7 @@ from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.dense.atlas import Atlas
+from torchrefrac.dense.interest_points import InterestPoints
 
 
 @dataclass(frozen=True)
@@ -16,7 +18,7 @@ class Scope:
     ids (1 + n): which images of the reconstruction these are; cameras (1 + n); atlas: of the same images, or of the
     parts that show what the tile can see; allowed (1 + n, height, width): pixels that no mask excludes, None: all;
     near, far: distances along the reference's rays (see `PixelRays`) between which the surface lies; tile: left, top,
-    right, bottom in pixels.
+    right, bottom in pixels; interest_points: those of an image, given its id.
     """
 
     ids: Tensor
@@ -26,6 +28,7 @@ class Scope:
     near: float
     far: float
     tile: tuple[int, int, int, int]
+    interest_points: Callable[[int], InterestPoints]
 
     @property
     def device(self) -> torch.device:

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchrefrac.dense.epipolar_curve import find_candidates
 from torchrefrac.dense.growth import Cells
-from torchrefrac.dense.interest_points import InterestPoints, detect_interest_points
+from torchrefrac.dense.interest_points import InterestPoints
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.rays import PixelRays
@@ -110,8 +110,8 @@ def first_of_each(cells: Tensor, wanted: Tensor) -> Tensor:
 
 
 def _interest_points(scope: Scope, image: int) -> InterestPoints:
-    """Those of a local image, or of the part of it that the scope has."""
-    found = detect_interest_points(scope.atlas.copy(image), per_cell=1)
-    pixels = found.pixels + scope.atlas.origin[image]
-    allowed = scope.is_allowed(torch.full((len(pixels),), image, device=pixels.device), pixels)
-    return InterestPoints(pixels[allowed], found.kind[allowed])
+    """Those of a local image that no mask covers."""
+    found = scope.interest_points(int(scope.ids[image]))
+    pixels = found.pixels.to(scope.device)
+    allowed = scope.is_allowed(torch.full((len(pixels),), image, device=scope.device), pixels)
+    return InterestPoints(pixels[allowed], found.kind.to(scope.device)[allowed])

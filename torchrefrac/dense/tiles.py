@@ -46,6 +46,7 @@ def scopes(
             near=hood.near,
             far=hood.far,
             tile=tile,
+            interest_points=images.interest_points,
         )
 
 
