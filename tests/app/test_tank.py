@@ -16,9 +16,9 @@ MINIMUM_RATIO = 50.0
 
 @pytest.fixture
 def run_tank(torchrefrac, shared_data, metrics, tmp_path):
-    def run(model):
+    def run(model, *more):
         folder = shared_data("tank")
-        assert torchrefrac("scene=capture", f"scene.path={folder}", f"model={model}", f"out={model}").status == 0
+        assert torchrefrac("scene=capture", f"scene.path={folder}", f"model={model}", *more, f"out={model}").status == 0
         return metrics(tmp_path / model)
 
     return run
@@ -56,3 +56,13 @@ def test_gravity_that_is_four_degrees_off_costs_no_accuracy(shared_data, draw):
     wrong = replace(capture, down_in_cam=rotate(tilt, -truth.rotation[..., 2]), down_sigma=math.radians(4.0))
     found, _ = evaluate(tr.reconstruct(wrong), truth)
     assert found["camera_rms_cm"] <= 0.02
+
+
+@pytest.mark.slow
+def test_the_dense_surface_is_accurate_complete_and_flat_and_without_refraction_it_is_not(run_tank):
+    refractive, none = (run_tank(model, "dense=patch") for model in ("refractive", "none"))
+    assert refractive["dense_accuracy_within_0.2_cm"] >= 0.99
+    assert refractive["dense_completeness_within_0.5_cm"] >= 0.95
+    assert refractive["dense_plane_rms_cm"] <= 0.04
+    assert 0.5 <= refractive["dense_error_over_sigma"] <= 1.5
+    assert none["dense_plane_rms_cm"] >= MINIMUM_RATIO * refractive["dense_plane_rms_cm"]

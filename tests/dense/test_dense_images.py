@@ -127,3 +127,16 @@ def test_photographs_are_read_once_while_they_are_kept(capture):
     images.grey(1)
     assert images.grey(0) is not first
     assert torch.equal(images.grey(0), first)
+
+
+def test_interest_points_are_found_part_by_part_each_once(capture, monkeypatch):
+    """Far from the borders of parts they are those of the whole image; none comes twice."""
+    whole = Images(capture).interest_points(0).pixels
+    monkeypatch.setattr("torchrefrac.dense.images.PART", 64)
+
+    parts = Images(capture).interest_points(0).pixels
+
+    assert len(parts.unique(dim=0)) == len(parts)
+    assert len(whole) > 20
+    found_again = torch.cdist(whole, parts).amin(dim=1) < 0.5
+    assert found_again.double().mean() > 0.8

@@ -7,7 +7,7 @@ import pytest
 import torch
 from rendered_scenes import Board, cameras_around, marble, render
 
-from torchrefrac.dense.growth import TRIES, Cells, grow
+from torchrefrac.dense.growth import RINGS, TRIES, UNTRIED, Cells, grow
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 
@@ -63,7 +63,7 @@ def test_pixels_beside_the_tile_lie_in_no_cell(grid):
 
 @pytest.mark.parametrize("count", [0, 1, 20, 50_000])
 def test_of_several_planes_for_one_cell_the_best_stays(grid, draw, generator, count):
-    best = np.full(63, -1.0)
+    best = np.full(63, UNTRIED)
     for _ in range(3):
         cells, score = torch.randint(63, (count,), generator=generator), draw.uniform(0.0, 1.0, count)
         np.maximum.at(best, cells.numpy(), score.numpy())
@@ -88,7 +88,7 @@ def test_a_cell_is_newly_filled_once(grid):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 1.0])
-def test_every_empty_cell_beside_filled_ones_gets_the_best_of_them(grid, draw, share):
+def test_every_empty_cell_near_filled_ones_gets_the_best_of_the_nearest_ring(grid, draw, share):
     score = draw.uniform(0.1, 1.0, 63)
     filled = (draw.uniform(0.0, 1.0, 63) < share).nonzero()[:, 0]
     grid.fill(filled, *_planes(score[filled]), score[filled])
@@ -98,9 +98,10 @@ def test_every_empty_cell_beside_filled_ones_gets_the_best_of_them(grid, draw, s
     expected = {}
     for cell in set(range(63)) - set(filled.tolist()):
         row, column = divmod(cell, 9)
-        beside = [n for n in filled.tolist() if max(abs(n // 9 - row), abs(n % 9 - column)) == 1]
-        if beside:
-            expected[cell] = max(beside, key=lambda n: float(score[n]))
+        ring = {n: max(abs(n // 9 - row), abs(n % 9 - column)) for n in filled.tolist()}
+        near = {n: r for n, r in ring.items() if r <= RINGS}
+        if near:
+            expected[cell] = min(near, key=lambda n: (near[n], -float(score[n])))
     assert dict(zip(cells.tolist(), source.tolist(), strict=True)) == expected
 
 
@@ -123,13 +124,26 @@ def test_a_place_is_tried_again_for_a_better_plane_only_and_not_more_than_a_few_
     assert offered == TRIES
 
 
+def test_a_place_that_failed_from_afar_is_tried_again_from_beside_it(grid):
+    first, worse = torch.tensor([0.9], dtype=torch.float64), torch.tensor([0.8], dtype=torch.float64)
+    grid.fill(torch.tensor([31]), *_planes(first), first)
+    grid.frontier()
+
+    grid.fill(torch.tensor([32]), *_planes(worse), worse)
+    cells, source = grid.frontier()
+
+    again = dict(zip(cells.tolist(), source.tolist(), strict=True))
+    assert again[33] == 32
+    assert 30 not in again
+
+
 def test_what_fails_everywhere_is_given_up(grid):
     score = torch.tensor([0.9], dtype=torch.float64)
     grid.fill(torch.tensor([31]), *_planes(score), score)
 
     waves = [len(grid.frontier()[0]) for _ in range(3)]
 
-    assert waves == [8, 0, 0]
+    assert waves == [24, 0, 0]
 
 
 def test_from_one_seed_the_whole_textured_part_is_covered_and_nothing_else(half_painted, scope):
