@@ -10,7 +10,7 @@ export OMP_WAIT_POLICY ?= PASSIVE
 .PHONY: demo test test-slow lint bench clean
 
 demo: $(READY)
-	$(BIN)/torchrefrac -m scene=tank_small model=none,radial,refractive out=outputs/demo
+	$(BIN)/torchrefrac -m scene=tank_small model=none,radial,refractive dense=patch out=outputs/demo
 
 test: lint
 	$(BIN)/pytest -m "not slow"
@@ -28,6 +28,7 @@ bench: $(READY)
 	$(BIN)/python tools/bench/refraction.py
 	$(BIN)/python tools/bench/solvers.py --problems 100
 	$(BIN)/python tools/bench/sparse.py $(wildcard ../shared/data/tank)
+	$(BIN)/python tools/bench/dense.py $(wildcard ../shared/data/tank)
 	$(BIN)/python tools/bench/uncertainty.py
 
 clean:

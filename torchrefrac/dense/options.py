@@ -70,10 +70,11 @@ class DenseOptions:
     sweep: SweepOptions = field(default_factory=SweepOptions)
 
     def __post_init__(self) -> None:
-        for name in ("cell", "views", "neighbours", "levels", "maps", "batch", "max_tile"):
+        for name in ("cell", "views", "neighbours", "levels", "batch", "max_tile"):
             require(getattr(self, name), name, at_least=1)
         _require_window(self.window)
         require(self.min_views, "min_views", at_least=2)
+        require(self.maps, "maps", at_least=2)
         if self.min_views > self.views + 1:
             raise ValueError(
                 f"min_views is {self.min_views}, but can be views + 1 = {self.views + 1} at most: no more are compared"
