@@ -1,0 +1,30 @@
+"""The same surface on a GPU as on the CPU."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from rendered_captures import sparse_reconstruction, write_capture
+from rendered_scenes import Board, cameras_around, marble, render
+
+from torchrefrac.dense import DenseOptions, densify
+
+pytestmark = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"),
+]
+
+
+@pytest.mark.parametrize("method", ["patch", "depthmap"])
+def test_the_surface_is_that_of_the_cpu(tmp_path, method):
+    rendered = render([Board((0.0, 0.0, -40.0))], cameras_around(3, 30.0, -30.0, 1.33), marble(), 1.33)
+    capture, sparse = write_capture(rendered, tmp_path), sparse_reconstruction(rendered)
+    options = DenseOptions(method=method)
+
+    here = densify(capture, sparse, options).cloud
+    there = densify(capture, sparse, replace(options, device="cuda")).cloud
+
+    assert not there.points.is_cuda
+    assert abs(len(there) - len(here)) < 0.02 * len(here)
+    nearest = torch.cdist(there.points, here.points).amin(dim=1)
+    assert float(nearest.median()) < 0.02
