@@ -10,12 +10,7 @@ kornia's warps on the windows of patches.
 """
 
 import argparse
-import json
 import math
-import os
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +19,7 @@ from typing import Any
 import kornia.geometry.transform as warps
 import torch
 from torch import Tensor
+from whole_runs import MODELS, measured_run
 
 import torchrefrac as tr
 from torchrefrac.dense.growth import Cells, grow
@@ -37,7 +33,6 @@ from torchrefrac.dense.tiles import scopes
 from torchrefrac.dense.window import Window
 from torchrefrac.scene.library import embedded_scene
 
-MODELS = ("none", "radial", "refractive")
 METHODS = ("patch", "depthmap")
 OFF_PIXELS, OFF_NORMAL = 1.5, 0.2  # by which the guesses of the speed test miss, standard deviations
 PATCHES = 16384
@@ -132,7 +127,10 @@ def runs(folder: Path, methods: list[str], models: list[str]) -> None:
     """Whole runs, sparse and dense."""
     print(HEADER)
     for method in methods:
-        results = {model: _run(folder, method, model) for model in models}
+        results = {
+            model: measured_run("scene=capture", f"scene.path={folder}", f"model={model}", f"dense={method}")
+            for model in models
+        }
         best = results.get("refractive", {})
         for model, m in results.items():
             rms, unit = _figure(m, "dense_plane_rms_")
@@ -142,20 +140,6 @@ def runs(folder: Path, methods: list[str], models: list[str]) -> None:
                 f"{_figure(m, 'dense_completeness_within_0.5_')[0]:>8.2%} {rms:>9.4f} {unit:<2} "
                 f"{m['seconds_dense']:>7.1f} {m['wall']:>6.1f} {m['peak']:>5.2f} {rms / reference:>5.0f}x"
             )
-
-
-def _run(folder: Path, method: str, model: str) -> dict[str, Any]:
-    with tempfile.TemporaryDirectory() as out:
-        command = [sys.executable, "-m", "torchrefrac", "scene=capture", f"scene.path={folder}", f"model={model}"]
-        command += [f"dense={method}", f"out={out}"]
-        start = time.perf_counter()
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        _, status, usage = os.wait4(process.pid, 0)
-        wall = time.perf_counter() - start
-        if status != 0:
-            sys.exit(f"{' '.join(command)} ended with status {os.waitstatus_to_exitcode(status)}")
-        metrics = json.loads((Path(out) / "metrics.json").read_text(encoding="utf-8"))
-    return metrics | {"wall": wall, "peak": usage.ru_maxrss / 2**20}
 
 
 def _figure(metrics: dict[str, Any], prefix: str) -> tuple[float, str]:

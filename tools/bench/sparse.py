@@ -7,16 +7,11 @@ The radial and no-refraction models are the peers: the last column is their came
 """
 
 import argparse
-import json
-import os
-import subprocess
-import sys
-import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
-MODELS = ("none", "radial", "refractive")
+from whole_runs import MODELS, measured_run
+
 HEADER = (
     f"{'scene':<12} {'model':<11} {'images':>7} {'points':>7} {'camera RMS':>12} {'seconds':>8} {'GiB':>5} {'ratio':>6}"
 )
@@ -28,7 +23,7 @@ def main() -> None:
     scenes = [["scene=tank_small"], *(["scene=capture", f"scene.path={p}"] for p in parser.parse_args().captures)]
     print(HEADER)
     for scene in scenes:
-        results = {model: _run(scene, model) for model in MODELS}
+        results = {model: measured_run(*scene, f"model={model}") for model in MODELS}
         name = Path(scene[-1].split("=")[1]).name
         best = _camera_rms(results["refractive"])[0]
         for model, m in results.items():
@@ -37,19 +32,6 @@ def main() -> None:
                 f"{name:<12} {model:<11} {m['registered_images']:>3}/{m['images']:<3} {m['points']:>7} "
                 f"{error:>9.4f} {unit} {m['wall']:>8.1f} {m['peak']:>5.2f} {error / best:>6.0f}x"
             )
-
-
-def _run(scene: list[str], model: str) -> dict[str, Any]:
-    with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "torchrefrac", *scene, f"model={model}", f"out={folder}"]
-        start = time.perf_counter()
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        _, status, usage = os.wait4(process.pid, 0)
-        wall = time.perf_counter() - start
-        if status != 0:
-            sys.exit(f"{' '.join(command)} ended with status {os.waitstatus_to_exitcode(status)}")
-        metrics = json.loads((Path(folder) / "metrics.json").read_text(encoding="utf-8"))
-    return metrics | {"wall": wall, "peak": usage.ru_maxrss / 2**20}
 
 
 def _camera_rms(metrics: dict[str, Any]) -> tuple[float, str]:

@@ -1,0 +1,26 @@
+"""Whole runs of the command, as a user starts them, each in a process of its own."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+MODELS = ("none", "radial", "refractive")
+
+
+def measured_run(*arguments: str) -> dict[str, Any]:
+    """The metrics of `torchrefrac` with these arguments, its time `wall` in seconds and memory `peak` in GiB."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "torchrefrac", *arguments, f"out={folder}"]
+        start = time.perf_counter()
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        _, status, usage = os.wait4(process.pid, 0)
+        wall = time.perf_counter() - start
+        if status != 0:
+            sys.exit(f"{' '.join(command)} ended with status {os.waitstatus_to_exitcode(status)}")
+        metrics = json.loads((Path(folder) / "metrics.json").read_text(encoding="utf-8"))
+    return metrics | {"wall": wall, "peak": usage.ru_maxrss / 2**20}
