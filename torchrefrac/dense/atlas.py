@@ -1,7 +1,7 @@
 """Several images and their smaller copies on one sheet, so that one call samples windows in all of them.
 
 Sampling is PyTorch's `grid_sample`, with its own derivative: kornia's `warp_affine` and `warp_perspective` do the same
-for patches at a third of the speed (tools/bench/dense.py). kornia makes the smaller copies.
+for patches at a quarter of the speed (tools/bench/dense.py). kornia makes the smaller copies.
 """
 
 from collections.abc import Sequence
