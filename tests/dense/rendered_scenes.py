@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.dense.atlas import Atlas
-from torchrefrac.dense.interest_points import InterestPoints, detect_interest_points
+from torchrefrac.dense.matching.interest_points import InterestPoints, detect_interest_points
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.scope import Scope
 from torchrefrac.refraction import FlatInterface

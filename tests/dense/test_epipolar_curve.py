@@ -5,9 +5,9 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
-from torchrefrac.dense.epipolar_curve import Candidates, find_candidates
-from torchrefrac.dense.interest_points import InterestPoints
-from torchrefrac.dense.ray_curve import project_curve
+from torchrefrac.dense.matching.epipolar_curve import Candidates, find_candidates
+from torchrefrac.dense.matching.interest_points import InterestPoints
+from torchrefrac.dense.matching.ray_curve import project_curve
 from torchrefrac.dense.rays import PixelRays
 
 

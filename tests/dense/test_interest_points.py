@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchrefrac.dense.interest_points import BLOB, CORNER, detect_interest_points
+from torchrefrac.dense.matching.interest_points import BLOB, CORNER, detect_interest_points
 
 
 def test_blobs_are_found_at_their_centres(draw):
@@ -133,7 +133,7 @@ def test_misuse_is_named():
 
 
 def test_kornia_waits_until_it_is_needed():
-    code = "import sys, torchrefrac.dense.epipolar_curve; print('kornia' in sys.modules)"
+    code = "import sys, torchrefrac.dense.matching.epipolar_curve; print('kornia' in sys.modules)"
 
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
 

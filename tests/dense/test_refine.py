@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.dense.atlas import Atlas
-from torchrefrac.dense.interest_points import InterestPoints
+from torchrefrac.dense.matching.interest_points import InterestPoints
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.refine import Planes, choose_views, refine
 from torchrefrac.dense.scope import Scope

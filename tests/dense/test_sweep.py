@@ -8,7 +8,7 @@ from rendered_scenes import FOCAL, Board, cameras_around, marble, render
 
 from torchrefrac.dense.atlas import Atlas
 from torchrefrac.dense.options import DenseOptions, SweepOptions
-from torchrefrac.dense.sweep import sweep
+from torchrefrac.dense.sweeping.sweep import sweep
 
 OPTIONS = DenseOptions(sweep=SweepOptions(level=1))
 CELLS = (160 // 3) * (120 // 3)

@@ -8,7 +8,7 @@ from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.seeds import begin, cover, cover_repeated, matched_seeds, sparse_seeds
-from torchrefrac.dense.sweep import sweep
+from torchrefrac.dense.sweeping.sweep import sweep
 from torchrefrac.scene import Reconstruction
 
 STEP = 1 << 14  # cells of a sweep that are refined before they are reported

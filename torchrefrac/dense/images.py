@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchrefrac.dense.interest_points import InterestPoints, detect_interest_points
+from torchrefrac.dense.matching.interest_points import InterestPoints, detect_interest_points
 from torchrefrac.scene import Capture, CaptureError
 from torchrefrac.scene.capture_file import read_color, read_grey
 

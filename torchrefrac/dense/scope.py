@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.dense.atlas import Atlas
-from torchrefrac.dense.interest_points import InterestPoints
+from torchrefrac.dense.matching.interest_points import InterestPoints
 
 
 @dataclass(frozen=True)

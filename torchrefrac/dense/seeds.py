@@ -5,9 +5,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchrefrac.dense.epipolar_curve import find_candidates
 from torchrefrac.dense.growth import Cells
-from torchrefrac.dense.interest_points import InterestPoints
+from torchrefrac.dense.matching.epipolar_curve import find_candidates
+from torchrefrac.dense.matching.interest_points import InterestPoints
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.rays import PixelRays

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.checks import require
-from torchrefrac.dense.interest_points import InterestPoints, strongest
-from torchrefrac.dense.ray_curve import MIN_CHORD, Curve, checked_range, follow, frame_of, within
+from torchrefrac.dense.matching.interest_points import InterestPoints, strongest
+from torchrefrac.dense.matching.ray_curve import MIN_CHORD, Curve, checked_range, follow, frame_of, within
 from torchrefrac.dense.rays import PixelRays, project_moving
 
 CURVES = 1024  # worked on at once

@@ -17,8 +17,8 @@ from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.refine import Planes
 from torchrefrac.dense.scope import Scope
-from torchrefrac.dense.sweep_lattice import Copies, Lattice
-from torchrefrac.dense.sweep_surface import LOWEST, Peaks, best_half, box, fit_planes
+from torchrefrac.dense.sweeping.lattice import Copies, Lattice
+from torchrefrac.dense.sweeping.surface import LOWEST, Peaks, best_half, box, fit_planes
 
 IMAGES = 6  # others that are looked into at most
 PROBES = 9  # rays each way that tell how far the distances are to be apart

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.scope import Scope
-from torchrefrac.dense.sweep_surface import REACH
+from torchrefrac.dense.sweeping.surface import REACH
 
 NODE = 8  # lattice pixels from one exact projection to the next
 

@@ -1,0 +1,1 @@
+"""Interest points, and where another image may show the same along a ray's curved image."""
