@@ -5,7 +5,7 @@ from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.dense.patches import Patches
-from torchrefrac.dense.rays import PixelRays
+from torchrefrac.dense.rays import PixelRays, depth_in
 from torchrefrac.scene import DepthMap
 
 THICKNESS = 4.0  # footprints: what lies farther behind its surroundings is hidden by them
@@ -16,10 +16,9 @@ def depth_map(patches: Patches, camera: RefractiveCamera, name: str, cell: int, 
     intrinsics = camera.intrinsics
     rows, columns = intrinsics.height // cell, intrinsics.width // cell
     pixels, valid = camera.project(patches.points, inside_image=True)
-    facing = (patches.normals * (camera.center_in_world - patches.points)).sum(dim=-1) > 0
     column, row = (pixels / cell).long().unbind(dim=-1)
-    use = (valid & facing & (column < columns) & (row < rows)).nonzero()[:, 0]
-    at, depth = (row * columns + column)[use], _depth(camera, patches.points[use])
+    use = (valid & patches.facing(camera) & (column < columns) & (row < rows)).nonzero()[:, 0]
+    at, depth = (row * columns + column)[use], depth_in(camera, patches.points[use])
     nearest = torch.full((rows * columns,), torch.inf, dtype=depth.dtype).scatter_reduce(0, at, depth, "amin")
     around = -torch.nn.functional.max_pool2d(-nearest.view(1, 1, rows, columns), 3, stride=1, padding=1).flatten()
     front = (depth == nearest[at]) & (depth <= around[at] + THICKNESS * cell * patches.footprint[use])
@@ -39,13 +38,8 @@ def depth_map(patches: Patches, camera: RefractiveCamera, name: str, cell: int, 
         name=name,
         step=cell,
         points=spread(points),
-        depth=spread(_depth(camera, points)),
+        depth=spread(depth_in(camera, points)),
         sigma=spread(patches.sigma[use]),
         valid=spread(torch.ones_like(at, dtype=torch.bool)),
         length_unit=length_unit,
     )
-
-
-def _depth(camera: RefractiveCamera, points: Tensor) -> Tensor:
-    """z (k) in the camera's frame."""
-    return ((points - camera.center_in_world) * camera.cam_from_world_rotation[2]).sum(dim=-1)

@@ -7,10 +7,10 @@ from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.dense.patches import Patches
+from torchrefrac.dense.rays import depth_in
 
 NEAREST = 12  # patches around one that it is judged by
 REACH = 4.0  # cells within which these must lie
-OFF_PLANE = 1.0  # footprints by which a patch may lie off its neighbours' planes, or 3 sigma
 THICKNESS = 4.0  # footprints within which two patches in one line of sight are the same surface
 
 
@@ -24,7 +24,7 @@ def supported(patches: Patches, cell: int) -> Tensor:
     near = torch.from_numpy(distance[:, 1:]) < REACH * cell * patches.footprint[:, None]
     index = torch.from_numpy(np.ascontiguousarray(index[:, 1:]))
     offset = patches.points[index] - patches.points[:, None]
-    tolerance = torch.maximum(OFF_PLANE * patches.footprint, 3.0 * patches.sigma)[:, None]
+    tolerance = patches.thickness[:, None]
     theirs = (offset * patches.normals[index]).sum(dim=-1).abs()
     ours = (offset * patches.normals[:, None]).sum(dim=-1).abs()
     agree = near & (theirs < tolerance) & (ours < 2.0 * tolerance)
@@ -40,7 +40,7 @@ def unobstructing(patches: Patches, cameras: RefractiveCamera, cell: int) -> Ten
     against = torch.zeros_like(patches.score)
     favour = patches.score * patches.views
     for image in range(cameras.shape[0]):
-        seen = (patches.reference == image) | ((patches.others == image) & patches.visible).any(dim=1)
+        seen = patches.seen_by(image)
         if not bool(seen.any()):
             continue
         camera = cameras[image]
@@ -48,7 +48,7 @@ def unobstructing(patches: Patches, cameras: RefractiveCamera, cell: int) -> Ten
         rows = valid.nonzero()[:, 0]
         columns = camera.intrinsics.width // cell + 1
         at = (pixels[rows] / cell).long()
-        depth = (camera.cam_from_world_rotation[2] * (patches.points[rows] - camera.center_in_world)).sum(dim=-1)
+        depth = depth_in(camera, patches.points[rows])
         beyond, same = _votes(
             at[:, 1] * columns + at[:, 0],
             depth,

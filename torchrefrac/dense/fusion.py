@@ -8,7 +8,6 @@ from torch import Tensor
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.dense.patches import Patches
 
-OFF_PLANE = 1.0  # footprints by which two patches of one surface may differ, or 3 sigma
 REACH = 3.0  # cells within which the other patch must lie
 
 
@@ -73,7 +72,6 @@ def _found_again(
     turned = (patches.normals[match] * patches.normals[rows]).sum(dim=-1)
     valid = valid & (turned > 0.5)
     offset = (apart * patches.normals[match]).sum(dim=-1) / torch.where(valid, turned, 1.0)
-    footprint = torch.maximum(patches.footprint[rows], patches.footprint[match])
-    sigma = torch.maximum(patches.sigma[rows], patches.sigma[match])
-    near = apart.norm(dim=-1) < REACH * cell * footprint
-    return match, offset, valid & near & (offset.abs() < torch.maximum(OFF_PLANE * footprint, 3.0 * sigma))
+    near = apart.norm(dim=-1) < REACH * cell * torch.maximum(patches.footprint[rows], patches.footprint[match])
+    thickness = torch.maximum(patches.thickness[rows], patches.thickness[match])
+    return match, offset, valid & near & (offset.abs() < thickness)

@@ -35,9 +35,10 @@ class Images:
 
     def check(self) -> None:
         """Raise CaptureError for an image or a mask that is missing, cannot be read, or has another size."""
-        for i in range(len(self.capture)):
-            self._grey(i)
-            self._allowed(i)
+        for i, mask in enumerate(self._masks):
+            self.grey(i)
+            if mask is not None:
+                self.allowed(i)
 
     def colors(self, image: int, pixels: Tensor) -> Tensor:
         """(k, 3) uint8 RGB at pixels (k, 2)."""

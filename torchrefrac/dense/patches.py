@@ -5,6 +5,8 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
+from torchrefrac.camera import RefractiveCamera
+
 
 @dataclass(frozen=True)
 class Patches:
@@ -31,6 +33,19 @@ class Patches:
     def __getitem__(self, rows: Tensor) -> "Patches":
         """Some of them, by a mask (N) or indices."""
         return Patches(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    @property
+    def thickness(self) -> Tensor:
+        """How far off its plane another patch of the same surface may lie (N): a footprint, or 3 sigma."""
+        return torch.maximum(self.footprint, 3.0 * self.sigma)
+
+    def seen_by(self, image: int | Tensor) -> Tensor:
+        """Which of them (N) their own comparison has shown to be seen by an image, or to be found in it."""
+        return (self.reference == image) | ((self.others == image) & self.visible).any(dim=1)
+
+    def facing(self, camera: RefractiveCamera) -> Tensor:
+        """Which of them (N) a single camera stands before."""
+        return (self.normals * (camera.center_in_world - self.points)).sum(dim=-1) > 0
 
     def padded(self, views: int) -> "Patches":
         """The same with V = views, the images that were not compared marked as not visible."""

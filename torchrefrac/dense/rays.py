@@ -73,3 +73,8 @@ def project_moving(camera: RefractiveCamera, points: Tensor, direction: Tensor) 
     dx, dy, dz = direction.unbind(dim=-1)
     along = torch.stack([row[0] * dx + row[1] * dy + row[2] * dz for row in by["point"]], dim=-1)
     return torch.stack((u, v), dim=-1), along, valid
+
+
+def depth_in(camera: RefractiveCamera, points: Tensor) -> Tensor:
+    """z (k) of points (k, 3) in the frame of a single camera: true depths, not the apparent ones."""
+    return ((points - camera.center_in_world) * camera.cam_from_world_rotation[2]).sum(dim=-1)

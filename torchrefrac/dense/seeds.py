@@ -51,9 +51,7 @@ def _seen(scope: Scope, cells: Cells, known: Patches) -> tuple[Tensor, Tensor, T
     camera = scope.cameras[0]
     pixels, valid = camera.project(known.points, inside_image=True)
     at, inside = cells.index(pixels)
-    facing = (known.normals * (camera.center_in_world - known.points)).sum(dim=-1) > 0
-    shown = (known.reference == scope.ids[0]) | ((known.others == scope.ids[0]) & known.visible).any(dim=1)
-    return at, valid & inside & facing, shown
+    return at, valid & inside & known.facing(camera), known.seen_by(scope.ids[0])
 
 
 def sparse_seeds(scope: Scope, cells: Cells, reconstruction: Reconstruction, options: DenseOptions) -> Patches:

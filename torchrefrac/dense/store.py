@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
+from torchrefrac.dense.images import MASKS
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.scene import Capture, Reconstruction
@@ -77,7 +78,7 @@ def fingerprint(capture: Capture, reconstruction: Reconstruction, options: Dense
     ):
         digest.update(tensor.contiguous().numpy().tobytes())
     digest.update(repr((reconstruction.index_ratio, lens.width, lens.height)).encode())
-    for path in (*capture.paths, *sorted((capture.folder / "masks").glob("**/*.png"))):
+    for path in (*capture.paths, *sorted((capture.folder / MASKS).glob("**/*.png"))):
         stat = path.stat()
         digest.update(repr((path.name, stat.st_size, stat.st_mtime_ns)).encode())
     return digest.hexdigest()

@@ -1,14 +1,13 @@
 """How far a dense reconstruction lies from the true surfaces, and how much of them it covers. Units are in the keys."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from torchrefrac.geometry import Similarity
-from torchrefrac.report.metrics import distance_to_rectangles
+from torchrefrac.report.metrics import distance_to_each_rectangle, distance_to_rectangles, rms
 from torchrefrac.scene.dense import DenseCloud
 from torchrefrac.scene.truth import Truth
 from torchrefrac.scene.truth_points import TruthPoints
@@ -74,9 +73,7 @@ def signed_plane_distance(points: Tensor, truth: Truth) -> tuple[Tensor, Tensor]
     """
     if not len(truth.corner):
         raise ValueError("truth has no planes, but a distance to one needs at least one")
-    planes = zip(truth.corner.split(1), truth.edge1.split(1), truth.edge2.split(1), strict=True)
-    each = [replace(truth, corner=corner, edge1=edge1, edge2=edge2) for corner, edge1, edge2 in planes]
-    nearest = torch.stack([distance_to_rectangles(points, one) for one in each], dim=-1).argmin(dim=-1)
+    nearest = distance_to_each_rectangle(points, truth).argmin(dim=-1)
     normal = truth.normal
     normal = torch.where(normal[:, 2:] < 0.0, -normal, normal)
     return ((points - truth.corner[nearest]) * normal[nearest]).sum(dim=-1), nearest
@@ -117,13 +114,13 @@ def _plane_metrics(points: Tensor, sigma: Tensor, truth: Truth) -> Metrics:
     inlier = size <= INLIER_SIGMAS * MAD_TO_SIGMA * _quantile(size, 0.5)
     each = [signed[inlier & (plane == index)] for index in range(len(truth.corner))]
     metrics: Metrics = {
-        f"dense_plane_rms_{truth.length_unit}": _rms(signed[inlier]),
-        f"dense_plane_rms_each_{truth.length_unit}": [_rms(values) if len(values) else None for values in each],
+        f"dense_plane_rms_{truth.length_unit}": rms(signed[inlier]),
+        f"dense_plane_rms_each_{truth.length_unit}": [rms(values) if len(values) else None for values in each],
         "dense_plane_inliers": float(inlier.double().mean()),
     }
     known = inlier & (sigma > 0.0)
     if known.any():
-        metrics["dense_error_over_sigma"] = _rms(signed[known] / sigma[known])
+        metrics["dense_error_over_sigma"] = rms(signed[known] / sigma[known])
     return metrics
 
 
@@ -199,7 +196,3 @@ def _to_nearer_neighbour(points: Tensor, valid: Tensor) -> Tensor:
 def _quantile(values: Tensor, share: float) -> float:
     """`Tensor.quantile` refuses more than 16 million values."""
     return float(np.quantile(values.cpu().numpy(), share))
-
-
-def _rms(values: Tensor) -> float:
-    return float(values.square().mean().sqrt())

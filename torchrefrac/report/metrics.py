@@ -58,15 +58,15 @@ def evaluate(reconstruction: Reconstruction, truth: Truth) -> tuple[dict[str, fl
     unit = truth.length_unit
     metrics: dict[str, float | int | str] = {
         "alignment": "4-dof" if refractive else "similarity",
-        f"camera_rms_{unit}": _rms(distance),
+        f"camera_rms_{unit}": rms(distance),
         f"camera_max_{unit}": float(distance.max()),
-        "camera_rotation_rms_deg": _rms(angle),
+        "camera_rotation_rms_deg": rms(angle),
     }
     if len(truth.corner) and len(reconstruction.points):
         surface = distance_to_rectangles(alignment.apply(reconstruction.points), truth)
         metrics |= {
             f"surface_median_{unit}": float(surface.median()),
-            f"surface_rms_{unit}": _rms(surface),
+            f"surface_rms_{unit}": rms(surface),
             f"surface_p95_{unit}": float(surface.quantile(0.95)),
         }
     return metrics, alignment
@@ -74,13 +74,19 @@ def evaluate(reconstruction: Reconstruction, truth: Truth) -> tuple[dict[str, fl
 
 def distance_to_rectangles(points: Tensor, truth: Truth) -> Tensor:
     """Distance (N) of points (N, 3) to the nearest true rectangle."""
+    return distance_to_each_rectangle(points, truth).amin(dim=-1)
+
+
+def distance_to_each_rectangle(points: Tensor, truth: Truth) -> Tensor:
+    """Distances (N, k) of points (N, 3) to the true rectangles (k)."""
     offset = points[:, None] - truth.corner
     along1, along2 = (
         ((offset * edge).sum(dim=-1) / edge.square().sum(dim=-1)).clamp(0.0, 1.0) for edge in (truth.edge1, truth.edge2)
     )
     nearest = along1[..., None] * truth.edge1 + along2[..., None] * truth.edge2
-    return (offset - nearest).norm(dim=-1).amin(dim=-1)
+    return (offset - nearest).norm(dim=-1)
 
 
-def _rms(values: Tensor) -> float:
+def rms(values: Tensor) -> float:
+    """Root mean square of the values."""
     return float(values.square().mean().sqrt())
