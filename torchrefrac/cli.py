@@ -13,7 +13,16 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
 from torchrefrac.bundle import UnadjustableError
-from torchrefrac.config import AdjustOptions, DensifyOptions, OptionError, Options, RunOptions, SceneOptions, build
+from torchrefrac.config import (
+    AdjustOptions,
+    DensifyOptions,
+    FolderOptions,
+    OptionError,
+    Options,
+    RunOptions,
+    build,
+    build_scene,
+)
 from torchrefrac.dense import DenseError
 from torchrefrac.densification import SparseRun, densify_run, open_run
 from torchrefrac.pipeline import ReconstructionError, run
@@ -70,7 +79,7 @@ def run_options(config: DictConfig) -> RunOptions:
     """The typed options of a composed configuration."""
     values: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     scene, out = values.pop("scene"), values.pop("out")
-    return RunOptions(build(SceneOptions, scene, "scene"), build(Options, values), out)
+    return RunOptions(build_scene(scene), build(Options, values), out)
 
 
 def adjust_options(config: DictConfig) -> AdjustOptions:
@@ -85,7 +94,7 @@ def densify_options(config: DictConfig) -> DensifyOptions:
     return build(DensifyOptions, values)
 
 
-def scene_folder(scene: SceneOptions) -> Path:
+def scene_folder(scene: FolderOptions) -> Path:
     """Where the capture of a scene lies."""
     return embedded_scene(scene.name) if scene.path is None else Path(scene.path)
 

@@ -1,28 +1,22 @@
-"""The typed options of a run, and how they are built from plain mappings. YAML is read elsewhere."""
+"""The typed options of the commands."""
 
-import dataclasses
 import math
-import types
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Literal
 
+from torchrefrac.config.build import OptionError
+from torchrefrac.config.scenes import FolderOptions
 from torchrefrac.dense import DenseOptions
 from torchrefrac.features import MatchOptions, SiftOptions
 from torchrefrac.refraction import water_index
 from torchrefrac.report.dense_outputs import DenseOutputs
 from torchrefrac.scene.capture_file import MAX_INDEX_RATIO
+from torchrefrac.scene.synthetic.options import SyntheticOptions
 from torchrefrac.sfm import SfmOptions
 from torchrefrac.sfm.readjust import ReadjustOptions
 
-T = TypeVar("T")
-PLAIN = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 ModelName = Literal["none", "radial", "refractive"]
 FRESH_WATER = 1.333
-
-
-class OptionError(ValueError):
-    """An option is unknown, missing or of the wrong type; the message names it."""
 
 
 @dataclass(frozen=True)
@@ -76,20 +70,17 @@ class Options:
 
 
 @dataclass(frozen=True)
-class SceneOptions:
-    """An embedded scene by name, or the capture in the folder `path`."""
-
-    name: str
-    path: str | None = None
-
-
-@dataclass(frozen=True)
 class RunOptions:
-    """A run from the command line: a scene, how to reconstruct it, and the folder for the results."""
+    """A run from the command line: a scene, how to reconstruct it, and the folder for the results.
 
-    scene: SceneOptions
+    cache: folder where made scenes are kept, by default the user's cache. quiet: only errors are said.
+    """
+
+    scene: FolderOptions | SyntheticOptions
     reconstruction: Options
     out: str
+    cache: str | None = None
+    quiet: bool = False
 
 
 @dataclass(frozen=True)
@@ -156,71 +147,6 @@ class AdjustOptions(ReadjustOptions):
             raise OptionError("water.path and plane are both given, but a water.json says where the planes are")
 
 
-def build(cls: type[T], values: Mapping[str, Any], path: str = "") -> T:
-    """An instance of the dataclass `cls` from nested plain values, strictly.
-
-    Raises OptionError that names the option (dotted) for an unknown or missing one, or one of the wrong type. A whole
-    number serves where a float is wanted.
-    """
-    hints = get_type_hints(cls)
-    fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
-    for name in values:
-        if name not in fields:
-            raise OptionError(f"{_join(path, name)} is not an option; known here are {', '.join(fields)}")
-    arguments = {}
-    for name, described in fields.items():
-        if name in values:
-            arguments[name] = _convert(hints[name], values[name], _join(path, name))
-        elif described.default is dataclasses.MISSING and described.default_factory is dataclasses.MISSING:
-            raise OptionError(f"{_join(path, name)} is missing")
-    try:
-        return cls(**arguments)
-    except OptionError:
-        raise
-    except ValueError as error:  # from options of a layer that does not know how they are read
-        raise OptionError(_join(path, str(error))) from None
-
-
-def _convert(hint: Any, value: Any, path: str) -> Any:
-    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-        if not isinstance(value, Mapping):
-            raise OptionError(f"{path} is {value!r}, but must be a group of options")
-        return build(hint, value, path)
-    origin = get_origin(hint)
-    if origin is Literal:
-        choices = get_args(hint)
-        if value not in choices:
-            raise OptionError(f"{path} is {value!r}, but must be one of {', '.join(map(str, choices))}")
-        return value
-    if origin in (Union, types.UnionType):
-        return _convert_union(get_args(hint), value, path)
-    if origin is tuple:
-        if not isinstance(value, list | tuple):
-            raise OptionError(f"{path} is {value!r}, but must be a list")
-        return tuple(_convert(get_args(hint)[0], item, f"{path}[{i}]") for i, item in enumerate(value))
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if type(value) is not hint:
-        raise OptionError(f"{path} is {value!r}, but must be {PLAIN[hint]}")
-    return value
-
-
-def _convert_union(choices: tuple[Any, ...], value: Any, path: str) -> Any:
-    """One kind of value, or null or one of some words where these are among the choices."""
-    words = [word for choice in choices if get_origin(choice) is Literal for word in get_args(choice)]
-    if value in words or (value is None and type(None) in choices):
-        return value
-    kind = next(choice for choice in choices if choice is not type(None) and get_origin(choice) is not Literal)
-    try:
-        return _convert(kind, value, path)
-    except OptionError as error:
-        raise OptionError(", or ".join((str(error), *words))) from None
-
-
 def _require_index_ratio(ratio: float | None, path: str) -> None:
     if ratio is not None and not 1.0 <= ratio <= MAX_INDEX_RATIO:
         raise OptionError(f"{path} is {ratio:g}, but must lie between 1 and {MAX_INDEX_RATIO:g} (water: 1.333)")
-
-
-def _join(path: str, name: str) -> str:
-    return f"{path}.{name}" if path else name

@@ -1,0 +1,29 @@
+"""The typed options of the commands, and how they are built from plain mappings."""
+
+from torchrefrac.config.build import OptionError, build
+from torchrefrac.config.options import (
+    FRESH_WATER,
+    AdjustOptions,
+    DensifyOptions,
+    ModelOptions,
+    Options,
+    PlaneOptions,
+    RunOptions,
+    WaterOptions,
+)
+from torchrefrac.config.scenes import FolderOptions, build_scene
+
+__all__ = [
+    "FRESH_WATER",
+    "AdjustOptions",
+    "DensifyOptions",
+    "FolderOptions",
+    "ModelOptions",
+    "OptionError",
+    "Options",
+    "PlaneOptions",
+    "RunOptions",
+    "WaterOptions",
+    "build",
+    "build_scene",
+]

@@ -1,0 +1,37 @@
+"""Which scene a run is about: a folder of photographs, or a scene to be made."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from torchrefrac.config.build import OptionError, build
+from torchrefrac.scene.synthetic.options import SyntheticOptions
+from torchrefrac.scene.synthetic.scenes import SCENES
+
+
+@dataclass(frozen=True)
+class FolderOptions:
+    """An embedded scene by name, or the capture in the folder `path`."""
+
+    name: str
+    path: str | None = None
+
+    @property
+    def label(self) -> str:
+        """What reports call it."""
+        return self.name if self.path is None else Path(self.path).resolve().name
+
+
+def build_scene(values: Mapping[str, Any], path: str = "scene") -> FolderOptions | SyntheticOptions:
+    """The options of a scene: those of a made scene where `kind` says which, else those of a folder.
+
+    Raises OptionError that names the option.
+    """
+    if "kind" not in values:
+        return build(FolderOptions, values, path)
+    others = dict(values)
+    kind = others.pop("kind")
+    if kind not in SCENES:
+        raise OptionError(f"{path}.kind is {kind!r}, but must be one of {', '.join(SCENES)}")
+    return build(SCENES[kind], others, path)

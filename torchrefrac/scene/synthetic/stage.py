@@ -1,0 +1,47 @@
+"""A scene that is ready to be photographed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from torchrefrac.scene.capture import CaptureError
+from torchrefrac.scene.synthetic.surfaces import Surface
+
+Texture = Callable[[Tensor], Tensor]
+
+
+class SceneError(CaptureError):
+    """A scene cannot be made; the message names the option and the remedy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A surface with a name and its colours: `texture` maps texture coordinates (N, 2), float64, to RGB (N, 3) from 0 to
+    255, float32. is_plane: whether the paper's flatness can be measured on it."""
+
+    name: str
+    surface: Surface
+    texture: Texture
+    is_plane: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """What a scene consists of, before any light.
+
+    World: z up, the water surface z = 0, lengths in length_unit. rotation (m, 3, 3) cam_from_world and center (m, 3) of
+    the cameras along their path. Surfaces get their colours times `ambient` + `direct` * |normal . towards_light|.
+    position_sigma: standard deviation of a coordinate of a camera's satellite position; None: there is none.
+    background: grey value where a ray meets nothing.
+    """
+
+    pieces: tuple[Piece, ...]
+    rotation: Tensor
+    center: Tensor
+    length_unit: str
+    towards_light: tuple[float, float, float] = (0.3, 0.2, 1.0)
+    ambient: float = 1.0
+    direct: float = 0.0
+    position_sigma: float | None = None
+    background: float = 128.0

@@ -1,0 +1,198 @@
+"""Surfaces that a ray may meet, and the first one that it does meet. All in the world frame, in length units."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+NEAREST = 1e-9  # of a hit, times the ray's length unit: a ray that starts on a surface does not meet it there
+
+
+class Meeting(NamedTuple):
+    """Where rays (N) first meet one surface: length along the unit direction (infinite where they do not), texture
+    coordinates (N, 2) and unit normals (N, 3), both meaningless where they do not. Normals may point to either side."""
+
+    length: Tensor
+    uv: Tensor
+    normal: Tensor
+
+
+class Surface(Protocol):
+    """Something that rays meet."""
+
+    def intersect(self, origins: Tensor, directions: Tensor) -> Meeting:
+        """origins (N, 3), unit directions (N, 3), float64."""
+        ...
+
+    def triangles(self) -> tuple[Tensor, Tensor]:
+        """The surface as vertices (v, 3) and counter-clockwise faces (f, 3) int64; curved ones approximately."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Rectangle:
+    """corner + u edge1 + v edge2 with u and v from 0 to 1; each (3). The texture coordinates are (u, v)."""
+
+    corner: Tensor
+    edge1: Tensor
+    edge2: Tensor
+
+    def intersect(self, origins: Tensor, directions: Tensor) -> Meeting:
+        normal = torch.nn.functional.normalize(torch.linalg.cross(self.edge1, self.edge2), dim=-1)
+        slope = directions @ normal
+        length = ((self.corner - origins) @ normal) / torch.where(slope == 0.0, 1.0, slope)
+        offset = origins + length[:, None] * directions - self.corner
+        axes = torch.stack((self.edge1, self.edge2), dim=-1)
+        uv = offset @ torch.linalg.pinv(axes).mT
+        inside = ((uv >= 0.0) & (uv <= 1.0)).all(dim=-1) & (slope != 0.0) & (length > NEAREST)
+        return Meeting(torch.where(inside, length, torch.inf), uv, normal.expand_as(origins))
+
+    def triangles(self) -> tuple[Tensor, Tensor]:
+        a, b, c = self.corner, self.edge1, self.edge2
+        return torch.stack((a, a + b, a + b + c, a + c)), torch.tensor([[0, 1, 2], [0, 2, 3]])
+
+
+@dataclass(frozen=True, eq=False)
+class Cylinder:
+    """A closed cylinder: from `base` (3) along `axis` (3), which has its length, `radius` around it.
+
+    Texture coordinates of the side: once around in u, from base to end in v (0 to 1). Of the two ends: the disc in its
+    bounding square, u shifted by 1 for the base and by 2 for the other end.
+    """
+
+    base: Tensor
+    axis: Tensor
+    radius: float
+
+    FACETS = 256
+
+    @cached_property
+    def frame(self) -> Tensor:
+        """Rows (3, 3): two unit vectors across, one along the axis."""
+        along = torch.nn.functional.normalize(self.axis, dim=-1)
+        helper = torch.eye(3, dtype=along.dtype)[along.abs().argmin()]
+        first = torch.nn.functional.normalize(torch.linalg.cross(helper, along), dim=-1)
+        return torch.stack((first, torch.linalg.cross(along, first), along))
+
+    def intersect(self, origins: Tensor, directions: Tensor) -> Meeting:
+        start, way = (origins - self.base) @ self.frame.mT, directions @ self.frame.mT
+        height = float(self.axis.norm())
+        length, normal, uv = self._side(start, way, height)
+        for level, shift in ((0.0, 1.0), (height, 2.0)):
+            reach = (level - start[:, 2]) / torch.where(way[:, 2] == 0.0, 1.0, way[:, 2])
+            disc = (start + reach[:, None] * way)[:, :2] / self.radius
+            nearer = (disc.square().sum(dim=-1) <= 1.0) & (way[:, 2] != 0.0) & (reach > NEAREST) & (reach < length)
+            length = torch.where(nearer, reach, length)
+            uv = torch.where(nearer[:, None], 0.5 * (disc + 1.0) + torch.tensor((shift, 0.0), dtype=uv.dtype), uv)
+            normal = torch.where(nearer[:, None], torch.tensor((0.0, 0.0, 1.0), dtype=uv.dtype), normal)
+        return Meeting(length, uv, normal @ self.frame)
+
+    def _side(self, start: Tensor, way: Tensor, height: float) -> tuple[Tensor, Tensor, Tensor]:
+        """The nearest of at most two crossings of the infinite cylinder that lies between the ends."""
+        a = way[:, :2].square().sum(dim=-1)
+        b = (start[:, :2] * way[:, :2]).sum(dim=-1)
+        c = start[:, :2].square().sum(dim=-1) - self.radius**2
+        root = b.square() - a * c
+        meets = (root > 0.0) & (a > 0.0)
+        root, a = torch.where(meets, root, 0.0).sqrt(), torch.where(a > 0.0, a, 1.0)
+        length = torch.full_like(a, torch.inf)
+        for reach in ((-b + root) / a, (-b - root) / a):
+            level = start[:, 2] + reach * way[:, 2]
+            length = torch.where(meets & (reach > NEAREST) & (level >= 0.0) & (level <= height), reach, length)
+        place = start + torch.where(length.isfinite(), length, 0.0)[:, None] * way
+        around = torch.atan2(place[:, 1], place[:, 0]) / (2.0 * torch.pi)
+        uv = torch.stack((around.remainder(1.0), place[:, 2] / height), dim=-1)
+        return length, place * torch.tensor((1.0, 1.0, 0.0), dtype=place.dtype) / self.radius, uv
+
+    def triangles(self) -> tuple[Tensor, Tensor]:
+        angle = torch.arange(self.FACETS, dtype=torch.float64) * (2.0 * torch.pi / self.FACETS)
+        ring = self.radius * torch.stack((angle.cos(), angle.sin()), dim=-1) @ self.frame[:2] + self.base
+        vertices = torch.cat((ring, ring + self.axis, self.base[None], (self.base + self.axis)[None]))
+        n, first = self.FACETS, torch.arange(self.FACETS)
+        second = (first + 1) % n
+        low, high = torch.full_like(first, 2 * n), torch.full_like(first, 2 * n + 1)
+        faces = (
+            (first, second, second + n), (first, second + n, first + n),
+            (second, first, low), (first + n, second + n, high),
+        )  # fmt: skip
+        return vertices, torch.cat([torch.stack(face, dim=-1) for face in faces])
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleMesh:
+    """vertices (v, 3) float64 and faces (f, 3) int64; uv (v, 2) texture coordinates, by default x and y.
+
+    Finds the face with Embree in single precision, and then the place on its plane in double precision.
+    """
+
+    vertices: Tensor
+    faces: Tensor
+    uv: Tensor | None = None
+
+    @cached_property
+    def _mesh(self) -> "object":
+        import trimesh  # noqa: PLC0415 - slow to import
+
+        return trimesh.Trimesh(self.vertices.numpy(), self.faces.numpy(), process=False, validate=False)
+
+    @cached_property
+    def _planes(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Of each face: a corner, the unit normal, and the map from an offset to barycentric coordinates (f, 2, 3)."""
+        a, b, c = self.vertices[self.faces].unbind(dim=1)
+        first, second = b - a, c - a
+        normal = torch.linalg.cross(first, second)
+        area = normal.square().sum(dim=-1, keepdim=True)
+        area = torch.where(area > 0.0, area, 1.0)
+        to_weights = torch.stack((torch.linalg.cross(second, normal), torch.linalg.cross(normal, first)), dim=1)
+        return a, normal / area.sqrt(), to_weights / area[..., None]
+
+    def intersect(self, origins: Tensor, directions: Tensor) -> Meeting:
+        face = torch.from_numpy(np.asarray(self._mesh.ray.intersects_first(origins.numpy(), directions.numpy())))  # type: ignore[attr-defined]
+        met = face >= 0
+        face = face.clamp(min=0).long()
+        corner, normal, to_weights = (table[face] for table in self._planes)
+        slope = (directions * normal).sum(dim=-1)
+        length = ((corner - origins) * normal).sum(dim=-1) / torch.where(slope == 0.0, 1.0, slope)
+        offset = origins + length[:, None] * directions - corner
+        second, third = torch.einsum("nij,nj->ni", to_weights, offset).unbind(dim=-1)
+        own = self.vertices[:, :2] if self.uv is None else self.uv
+        weights = torch.stack((1.0 - second - third, second, third), dim=-1)
+        uv = (weights[..., None] * own[self.faces[face]]).sum(dim=1)
+        met = met & (slope != 0.0) & (length > NEAREST)
+        return Meeting(torch.where(met, length, torch.inf), uv, normal)
+
+    def triangles(self) -> tuple[Tensor, Tensor]:
+        return self.vertices, self.faces
+
+
+class Nearest(NamedTuple):
+    """What rays (N) meet first among several surfaces: `surface` is its index, -1 where they meet none."""
+
+    length: Tensor
+    surface: Tensor
+    uv: Tensor
+    normal: Tensor
+
+
+def nearest(surfaces: Sequence[Surface], origins: Tensor, directions: Tensor) -> Nearest:
+    """The first of `surfaces` that rays of origins (N, 3) and unit directions (N, 3) meet."""
+    best = Nearest(
+        torch.full_like(origins[:, 0], torch.inf),
+        torch.full(origins.shape[:1], -1),
+        torch.zeros_like(origins[:, :2]),
+        torch.zeros_like(origins),
+    )
+    for index, surface in enumerate(surfaces):
+        met = surface.intersect(origins, directions)
+        nearer = met.length < best.length
+        best = Nearest(
+            torch.where(nearer, met.length, best.length),
+            torch.where(nearer, index, best.surface),
+            torch.where(nearer[:, None], met.uv, best.uv),
+            torch.where(nearer[:, None], met.normal, best.normal),
+        )
+    return best
