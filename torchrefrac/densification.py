@@ -43,8 +43,6 @@ from torchrefrac.scene.alignment import alignment_errors, read_object
 from torchrefrac.scene.capture_file import read_grey
 from torchrefrac.scene.tracks_file import CAMERAS
 
-MOST_SHOWN = 200_000  # points of a cloud in TensorBoard
-
 
 class SparseRun(NamedTuple):
     """A run folder with its sparse model, and the photographs of that model's images, in the same order."""
@@ -97,15 +95,18 @@ def dense_stage(
         )
     files.metrics |= {"dense_method": options.method} | store.metrics(seconds) | summarize_dense(cloud)
     if truth is not None and aligned is not None:
-        seen = _points_to_be_found(capture)
-        files.metrics |= evaluate_dense(cloud, truth, aligned, seen)
+        with recorder.meter(1, "evaluating", "") as advance:
+            seen = _points_to_be_found(capture)
+            files.metrics |= evaluate_dense(cloud, truth, aligned, seen)
+            advance(1, "")
     write_dense_outputs(dense, reconstruction, options, outputs, recorder, folder)
-    _draw(files, cloud, reconstruction, truth, aligned)
+    with recorder.meter(1, "drawing", "") as advance:
+        _draw(files, cloud, reconstruction, truth, aligned)
+        advance(1, "")
     files.stage_done(DENSE, dense, seconds)
     parts.clear()
     remove_if_empty(folder / DEPTH_MAPS)
-    every = -(-len(cloud) // MOST_SHOWN)
-    recorder.cloud(DENSE, cloud.points[::every], cloud.colors[::every], 0)
+    recorder.cloud(DENSE, cloud.points, cloud.colors, 0)
 
 
 def open_run(folder: Path, capture: str | None = None) -> SparseRun:

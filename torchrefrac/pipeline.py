@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -15,6 +15,7 @@ from torchrefrac.config import Options
 from torchrefrac.densification import dense_stage
 from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
 from torchrefrac.recorder import Recorder, SilentRecorder
+from torchrefrac.report.match_pictures import record_matches, record_residuals
 from torchrefrac.report.metrics import evaluate, summarize
 from torchrefrac.report.run_folder import RunFolder, describe_gravity
 from torchrefrac.scene import Capture, Reconstruction, load_truth
@@ -63,31 +64,42 @@ def reconstruct(
         capture = stage("levelling", lambda: _level(unlevelled, matches, features, ratio, options, recorder))
     initializer, sfm = _initializer(capture, ratio, options, recorder)
     pairs = stage("matching", lambda: _verify(matches, features, initializer, options, generator, recorder))
+    record_matches(capture, features, pairs, recorder)
     tracks = build_tracks(features, [pair.pair for pair in pairs])
+    recorder.scalar("tracks/count", tracks.num_tracks, 0)
+    recorder.scalar("tracks/observations", len(tracks.track), 0)
+    recorder.histogram("tracks/length", torch.bincount(tracks.track), 0)
     return stage(
         "sparse",
         lambda: reconstruct_sparse(capture, tracks, pairs, initializer, sfm, generator, recorder),
     )
 
 
-def run(capture: Capture, options: Options, recorder: Recorder, folder: Path) -> dict[str, Any]:
+def run(
+    capture: Capture, options: Options, recorder: Recorder, folder: Path, about: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """Reconstruct, make it dense where that is asked for, evaluate where truth is at hand, and leave everything in
-    `folder`. Returns the metrics.
+    `folder`. Returns the metrics, which begin with those of `about` (such as the name of the scene).
 
     Each stage's files are written when it ends. When a stage fails or is interrupted, metrics.json says which, why, and
     what was complete before; the dense stage goes on with the images that were finished when the same is run again.
     """
     files = RunFolder(folder)
-    with files.recording(model=options.model.name, capture=str(capture.folder.resolve()), **describe_gravity(capture)):
+    told = {"model": options.model.name, "capture": str(capture.folder.resolve())} | dict(about or {})
+    with files.recording(**told, **describe_gravity(capture)):
         reconstruction = reconstruct(capture, options, recorder, files.stage_done)
-        metrics = summarize(reconstruction)
-        truth = load_truth(capture.folder)
-        aligned = None
-        if truth is not None:
-            measured, aligned = evaluate(reconstruction, truth)
-            metrics |= measured
-        files.complete(reconstruction, metrics, truth, aligned)
-        recorder.cloud("sparse", reconstruction.points, reconstruction.colors, 0)
+        with recorder.meter(3, "evaluating", "") as advance:
+            metrics = summarize(reconstruction)
+            advance(1, "")
+            truth = load_truth(capture.folder)
+            aligned = None
+            if truth is not None:
+                measured, aligned = evaluate(reconstruction, truth)
+                metrics |= measured
+            advance(1, "")
+            files.complete(reconstruction, metrics, truth, aligned)
+            record_residuals(capture, reconstruction, recorder)
+            advance(1, "")
         if options.dense.method != "none":
             dense_stage(files, capture, reconstruction, options.dense, options.outputs, truth, aligned, recorder)
     return files.metrics

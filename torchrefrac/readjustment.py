@@ -61,11 +61,13 @@ def readjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> di
             offset = find_offset(alignment, water, survey, readjust_options, recorder)
             water = replace(water, offset=torch.tensor([offset], dtype=torch.float64))
         result = readjust(alignment, water, survey, readjust_options, recorder)
-        files.metrics |= _summary(alignment, survey, result)
-        if truth is not None and len(result.water.offset) == 1:
-            files.metrics |= evaluate(_above_level_water(result), truth)[0]
-        _write(result, folder, options.format == "binary")
-        recorder.cloud("points", result.alignment.points, result.alignment.colors, 0)
+        with recorder.meter(2, "evaluating", "") as advance:
+            files.metrics |= _summary(alignment, survey, result)
+            if truth is not None and len(result.water.offset) == 1:
+                files.metrics |= evaluate(_above_level_water(result), truth)[0]
+            advance(1, "")
+            _write(result, folder, options.format == "binary")
+            advance(1, "")
     return files.metrics
 
 

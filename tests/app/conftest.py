@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from torchrefrac import cli
+from torchrefrac.cli import commands, sweeps
 from torchrefrac.scene.library import embedded_scene
 
 
@@ -23,10 +24,15 @@ class Ended:
 
 @pytest.fixture
 def torchrefrac(monkeypatch, capsys, tmp_path):
-    """Runs the command in an empty folder."""
+    """Runs the command in an empty folder; report.html, which takes seconds, is written where reports=True alone."""
 
-    def run(*arguments):
+    def run(*arguments, reports=False):
         monkeypatch.chdir(tmp_path)
+        monkeypatch.setenv("TORCHREFRAC_CACHE", str(tmp_path / "cache"))
+        if not reports:
+            monkeypatch.setattr(commands, "write_report", lambda run: None)
+            monkeypatch.setattr(sweeps, "write_job_reports", lambda runs, recorder: None)
+            monkeypatch.setattr(sweeps, "write_sweep_report", lambda folder, runs: None)
         monkeypatch.setattr(sys, "argv", ["torchrefrac", *arguments])
         try:
             cli.main()

@@ -15,13 +15,16 @@ from torchrefrac.scene import load_cameras, load_points
 
 RESULTS = {"cameras.json", "points.ply", "metrics.json", "side_view.png", "features.npz", "matches.npz", "tracks.npz"}
 
+OF_A_SWEEP = {"figure1.png", "multirun.yaml", "report.html", "summary.csv", "summary.md", "summary.png", "sweep.json"}
+OF_A_SWEEP |= {"table1.md"}
+
 
 def test_a_run_leaves_the_promised_files_and_a_right_reconstruction(torchrefrac, small_tank, metrics):
     ended = torchrefrac("scene=capture", f"scene.path={small_tank}", "out=run")
     assert (ended.status, ended.err.count("error")) == (0, 0)
     assert "4 of 4 images registered" in ended.out
     run = small_tank.parent / "run"
-    assert {p.name for p in run.iterdir()} == RESULTS | {"events", ".hydra"}
+    assert {p.name for p in run.iterdir()} == RESULTS | {"events", "run.log", ".hydra"}
     found = metrics(run)
     assert found["status"] == "complete"
     assert found["stages"] == ["features", "matching", "sparse"]
@@ -48,10 +51,14 @@ def test_the_same_seed_gives_the_same_cameras(torchrefrac, small_tank):
 
 
 def test_a_multirun_over_the_models_ends_with_table_and_figure(torchrefrac, small_tank, metrics):
-    ended = torchrefrac("-m", "scene=capture", f"scene.path={small_tank}", "model=none,refractive", "out=both")
+    given = ("scene=capture", f"scene.path={small_tank}", "model=none,refractive", "out=both")
+    ended = torchrefrac("-m", *given, reports=True)
     assert ended.status == 0
     both = small_tank.parent / "both"
-    assert {p.name for p in both.iterdir()} == {"0_none", "1_refractive", "figure1.png", "table1.md", "multirun.yaml"}
+    assert {p.name for p in both.iterdir()} == {"0_none", "1_refractive", *OF_A_SWEEP}
+    for page in (both, both / "0_none", both / "1_refractive"):
+        assert 10_000 < (page / "report.html").stat().st_size < 5_000_000
+    assert 'href="1_refractive/report.html"' in (both / "report.html").read_text()
     none, refractive = metrics(both / "0_none"), metrics(both / "1_refractive")
     assert none["camera_rms_cm"] > 10 * refractive["camera_rms_cm"]
     assert none["alignment"] == "similarity"

@@ -174,7 +174,7 @@ def test_steps_need_no_damping_to_hold_the_scene_in_place(plant, disturb, index_
 def test_the_callback_hears_of_the_costs(plant, disturb):
     planted, heard = plant(noise=0.5), []
 
-    report = planted.adjusted(disturb(planted.truth), callback=lambda _, cost: heard.append(cost))
+    report = planted.adjusted(disturb(planted.truth), callback=lambda _, cost, damping: heard.append(cost))
 
     assert heard == report.costs[1:]
 

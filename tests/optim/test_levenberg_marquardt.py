@@ -140,11 +140,12 @@ def test_the_start_is_not_changed():
 def test_the_callback_hears_of_accepted_steps_alone():
     heard = []
 
-    report = minimize(Rosenbrock(), START, EXACT, lambda iteration, cost: heard.append((iteration, cost)))
+    report = minimize(Rosenbrock(), START, EXACT, lambda *step: heard.append(step))
 
-    assert [cost for _, cost in heard] == report.costs[1:]
-    iterations = [iteration for iteration, _ in heard]
-    assert iterations == sorted(set(iterations))
+    iterations, costs, dampings = zip(*heard, strict=True)
+    assert list(costs) == report.costs[1:]
+    assert all(damping > 0.0 for damping in dampings)
+    assert list(iterations) == sorted(set(iterations))
     assert len(iterations) < report.iterations
 
 
@@ -208,7 +209,7 @@ def test_a_singular_system_is_tried_again_with_more_damping():
 def test_dropped_steps_double_quadruple_the_damping_and_so_on_until_one_is_accepted():
     problem, accepted = Rosenbrock(), []
 
-    minimize(problem, START, EXACT, lambda iteration, _: accepted.append(iteration))
+    minimize(problem, START, EXACT, lambda iteration, *_: accepted.append(iteration))
 
     factor, dropped_after_accepted = 2.0, 0
     for iteration, (before, after) in enumerate(pairwise(problem.dampings), start=1):

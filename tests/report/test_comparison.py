@@ -19,12 +19,12 @@ COMPLETE = {
 
 @pytest.fixture
 def make_run(tmp_path, draw):
-    """`make_run(name, model, scene)`: a finished run folder; other fields of metrics.json as given."""
+    """`make_run(name, model, capture)`: a finished run folder; other fields of metrics.json as given."""
     truth = load_truth(embedded_scene("tank_small"))
     empty = torch.zeros(0, dtype=torch.long)
 
-    def make(name, model="refractive", scene="tank", **fields):
-        capture = tmp_path / scene
+    def make(name, model="refractive", capture="tank", **fields):
+        capture = tmp_path / capture
         capture.mkdir(exist_ok=True)
         shutil.copy(embedded_scene("tank_small") / "truth.json", capture)
         run = tmp_path / "runs" / name
@@ -57,7 +57,7 @@ def test_one_scene_gets_one_figure_and_a_line_a_model(make_run, tmp_path):
 
 
 def test_several_scenes_are_named_and_get_a_figure_each(make_run, tmp_path):
-    table = compare([make_run("0", scene="tank"), make_run("1", scene="pond")], tmp_path)
+    table = compare([make_run("0", capture="tank"), make_run("1", capture="pond")], tmp_path)
     assert "tank: Refraction" in table
     assert "pond: Refraction" in table
     assert {p.name for p in tmp_path.glob("figure*")} == {"figure1_tank.png", "figure1_pond.png"}
@@ -69,12 +69,12 @@ def test_runs_that_differ_in_something_else_are_told_apart_by_their_folder(make_
     assert "Refraction [1_refractive]" in table
 
 
-def test_a_failed_run_has_its_line_and_no_panel(make_run, tmp_path):
+def test_a_failed_run_has_its_line_before_the_others_and_no_panel(make_run, tmp_path):
     failed = tmp_path / "runs" / "1"
     failed.mkdir(parents=True)
     (failed / "metrics.json").write_text(json.dumps({"status": "failed", "model": "none", "reason": "no images"}))
     table = compare([make_run("0"), failed], tmp_path)
-    assert [cell.strip() for cell in table.splitlines()[3].split("|")[1:3]] == ["No refraction", "failed"]
+    assert [cell.strip() for cell in table.splitlines()[2].split("|")[1:3]] == ["No refraction", "failed"]
     assert (tmp_path / "figure1.png").is_file()
 
 
@@ -97,8 +97,8 @@ DENSE = {
 def make_dense_run(make_run, draw):
     """`make_dense_run(name, model, ...)`: the same with a dense cloud."""
 
-    def make(name, model="refractive", scene="tank", **fields):
-        run = make_run(name, model, scene, **DENSE | fields)
+    def make(name, model="refractive", capture="tank", **fields):
+        run = make_run(name, model, capture, **DENSE | fields)
         points, numbers = draw.uniform(-100.0, -50.0, 40, 3), draw.uniform(0.5, 1.0, 40)
         counts = torch.zeros(40, dtype=torch.long)
         cloud = DenseCloud(points, draw.directions(40), points.to(torch.uint8), numbers, numbers, counts, counts, "cm")
@@ -140,8 +140,81 @@ def test_dense_runs_without_truth_have_no_errors_to_show(make_dense_run, tmp_pat
 
 
 def test_dense_figures_of_several_scenes_are_named_after_them(make_dense_run, tmp_path):
-    compare([make_dense_run("0", scene="tank"), make_dense_run("1", scene="pond")], tmp_path)
+    compare([make_dense_run("0", capture="tank"), make_dense_run("1", capture="pond")], tmp_path)
 
     assert {path.name for path in tmp_path.glob("dense_*")} == {
         f"dense_{kind}_{scene}.png" for kind in ("figure1", "error_map") for scene in ("tank", "pond")
     }
+
+
+def test_a_run_that_cannot_be_read_counts_as_failed_and_the_others_are_shown(make_run, tmp_path):
+    runs = [make_run("0", "none"), make_run("1", "radial"), make_run("2", "refractive")]
+    (runs[0] / "metrics.json").write_text('{"status": "comp')
+    (runs[1] / "points.ply").unlink()
+
+    table = compare(runs, tmp_path)
+
+    cells = [[cell.strip() for cell in line.split("|")[1:3]] for line in table.splitlines()[2:]]
+    assert cells == [["unknown", "failed"], ["Radial distortion", "0.0123"], ["Refraction", "0.0123"]]
+    assert (tmp_path / "figure1.png").is_file()
+
+
+def test_captures_in_a_cache_are_called_by_their_scene(make_run, tmp_path):
+    runs = [
+        make_run(f"{scene}_{model}", model, f"{scene}_0123abcd", scene=scene)
+        for scene in ("tank", "cans")
+        for model in ("none", "refractive")
+    ]
+
+    table = compare(runs, tmp_path)
+
+    assert "tank: No refraction" in table
+    assert "0123abcd" not in table
+    assert {path.name for path in tmp_path.glob("*.png")} == {"figure1_tank.png", "figure1_cans.png"}
+
+
+def test_scenes_in_different_units_have_theirs_beside_the_numbers(make_run, tmp_path):
+    in_metres = {"camera_rms_cm": None, "surface_median_cm": None, "camera_rms_m": 0.5, "surface_median_m": 0.25}
+    run = make_run("1", capture="pond", **in_metres)
+    kept = {name: value for name, value in json.loads((run / "metrics.json").read_text()).items() if value is not None}
+    (run / "metrics.json").write_text(json.dumps(kept))
+
+    table = compare([make_run("0"), run], tmp_path)
+
+    assert [cell.strip() for cell in table.splitlines()[0].split("|")[2:4]] == ["camera RMS", "off surface"]
+    assert [cell.strip() for cell in table.splitlines()[3].split("|")[2:4]] == ["0.5000 m", "0.2500 m"]
+
+
+@pytest.fixture
+def make_ratio_run(make_run):
+    """`make_ratio_run(name, model, ratio)`: a run of a scene that was rendered with this index ratio."""
+
+    def make(name, model, ratio):
+        said = {"scene": "tank", "model": model, "scene.index_ratio": ratio}
+        return make_run(name, model, f"tank_{ratio.replace('.', '')}", scene="tank", overrides=said)
+
+    return make
+
+
+def test_what_else_was_varied_is_in_the_names_of_the_figures_and_there_is_no_table_1(make_ratio_run, tmp_path):
+    (tmp_path / "table1.md").write_text("of an earlier sweep")
+    runs = [
+        make_ratio_run(f"{ratio}_{model}", model, ratio) for ratio in ("1.2", "1.5") for model in ("none", "refractive")
+    ]
+
+    assert compare(runs, tmp_path) == ""
+
+    assert {path.name for path in tmp_path.glob("*1*.*")} == {"figure1_tank_1.2.png", "figure1_tank_1.5.png"}
+
+
+def test_a_capture_with_one_run_has_no_figure_beside_those_that_have_several(make_ratio_run, tmp_path):
+    compare([make_ratio_run("0", "none", "1.2"), *(make_ratio_run(m, m, "1.5") for m in ("none", "radial"))], tmp_path)
+
+    assert [path.name for path in tmp_path.glob("*.png")] == ["figure1_tank_1.5.png"]
+
+
+def test_more_runs_than_fit_side_by_side_have_a_table_and_no_figure(make_run, tmp_path):
+    table = compare([make_run(str(i)) for i in range(7)], tmp_path)
+
+    assert len(table.splitlines()) == 9
+    assert not list(tmp_path.glob("*.png"))

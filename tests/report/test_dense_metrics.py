@@ -12,6 +12,7 @@ from torchrefrac.geometry import Similarity, so3_exp
 from torchrefrac.report.dense_metrics import evaluate_dense, signed_plane_distance, textured_points
 from torchrefrac.scene import Truth, load_truth
 from torchrefrac.scene.dense import DenseCloud
+from torchrefrac.scene.synthetic.surfaces import Rectangle, TriangleMesh
 from torchrefrac.scene.truth_points import TruthPoints, load_truth_points
 
 DOUBLE = torch.float64
@@ -162,6 +163,29 @@ def test_each_plane_has_its_own_rms(truth, draw):
     assert both["dense_plane_rms_each_cm"] == pytest.approx([0.1, 0.2])
     assert floor["dense_plane_rms_each_cm"] == [pytest.approx(0.1), None]
     assert json.loads(json.dumps(floor)) == floor
+
+
+def test_beside_a_mesh_its_parts_count_and_planes_only_by_what_is_nearest_to_them(truth, draw):
+    """A box between floor and roof: points on its lid are exact, and those off the floor alone are of the plane."""
+    lid = Rectangle(*torch.tensor([[-40.0, 10.0, -7.0], [30.0, 0.0, 0.0], [0.0, 30.0, 0.0]], dtype=DOUBLE))
+    surfaces = [*map(Rectangle, truth.corner, truth.edge1, truth.edge2), lid]
+    vertices, faces = zip(*(surface.triangles() for surface in surfaces), strict=True)
+    shifted = [4 * index + face for index, face in enumerate(faces)]
+    whole = replace(truth, surface=TriangleMesh(torch.cat(vertices), torch.cat(shifted)))
+    on_floor = _floor(draw, torch.full((100,), 0.3, dtype=DOUBLE))
+    on_lid = torch.cat((draw.uniform(12.0, 38.0, 200, 2) * torch.tensor((-1.0, 1.0)), torch.full((200, 1), -7.0)), -1)
+    cloud = _cloud(torch.cat((on_floor, on_lid.double())))
+
+    found = evaluate_dense(cloud, whole, IDENTITY, None)
+    without = evaluate_dense(cloud, replace(whole, corner=truth.corner[:0]), IDENTITY, None)
+
+    assert found["dense_accuracy_within_0.1_cm"] == pytest.approx(2 / 3)
+    assert found["dense_surface_p95_cm"] == pytest.approx(0.3)
+    assert found["dense_plane_rms_cm"] == pytest.approx(0.3)
+    assert found["dense_plane_inliers"] == 1.0
+    assert evaluate_dense(cloud, truth, IDENTITY, None)["dense_surface_p95_cm"] == pytest.approx(3.0)
+    assert {key: found[key] for key in without} == without
+    assert not any("plane" in key for key in without)
 
 
 def test_points_without_a_sigma_say_nothing_of_its_honesty(truth, draw):

@@ -1,12 +1,14 @@
 """Figures that draw whatever they get, and progress that reads well on and off a terminal."""
 
 import io
+import re
 
 import cv2
 import pytest
 import torch
 
 from torchrefrac.recorder import SilentRecorder
+from torchrefrac.report import terminal
 from torchrefrac.report.figures import SideView, draw_side_views
 from torchrefrac.report.recorders import Recorders
 from torchrefrac.report.tensorboard import TensorBoardRecorder
@@ -109,6 +111,122 @@ def test_several_recorders_hear_of_each_lump():
         advance(3, "fast")
 
     assert [stream.getvalue().endswith(", fast\n") for stream in (first, second)] == [True, True]
+
+
+def test_a_long_stage_says_off_a_terminal_that_it_lives(monkeypatch):
+    monkeypatch.setattr(terminal, "ALIVE_SECONDS", 0.0)
+    stream = io.StringIO()
+
+    with TerminalRecorder(stream).meter(2000, "densifying", "cell") as advance:
+        advance(860, "90 patches/s")
+        advance(1140, "")
+
+    first, last = stream.getvalue().splitlines()
+    assert first == "densifying   43 % after 0 s, 90 patches/s"
+    assert last.startswith("densifying   2000 cells in ")
+
+
+def test_a_short_stage_does_not(monkeypatch):
+    stream = io.StringIO()
+
+    list(TerminalRecorder(stream).track(range(9), 9, "matching", "pair"))
+
+    assert stream.getvalue().count("\n") == 1
+
+
+@pytest.mark.parametrize("stream", [io.StringIO(), Terminal()], ids=["file", "terminal"])
+def test_work_without_a_unit_shows_no_count(stream):
+    with TerminalRecorder(stream).meter(150, "adjusting", "") as advance:
+        advance(150, "cost 2.5")
+
+    assert "150" not in stream.getvalue()
+    assert "adjusting" in stream.getvalue()
+    assert "cost 2.5" in stream.getvalue()
+
+
+def test_a_bar_below_another_one_disappears_when_it_ends():
+    stream = Terminal()
+    recorder = TerminalRecorder(stream)
+
+    for _ in recorder.track(range(2), 2, "registering", "image"):
+        list(recorder.track(range(2), 2, "adjusting", "round"))
+
+    shown = on_screen(stream.getvalue())
+    assert [line.split()[0] for line in shown] == ["registering"]
+    assert "2/2 images" in shown[0]
+
+
+def test_a_note_beside_a_bar_has_a_line_of_its_own():
+    stream = Terminal()
+    recorder = TerminalRecorder(stream)
+
+    for i in recorder.track(range(2), 2, "registering", "image"):
+        if i:
+            recorder.note("a line")
+
+    shown = on_screen(stream.getvalue())
+    assert shown[0] == "a line"
+    assert "2/2 images" in shown[1]
+
+
+def test_what_is_said_after_a_run_that_broke_off_has_a_line_of_its_own():
+    stream = Terminal()
+
+    def run():
+        with TerminalRecorder(stream) as recorder:
+            for i in recorder.track(range(4), 4, "registering", "image"):
+                if i == 2:
+                    raise ValueError("broken")
+
+    with pytest.raises(ValueError, match="broken"):
+        run()
+    stream.write("error: broken\n")
+
+    shown = on_screen(stream.getvalue())
+    assert "2/4 images" in shown[0]
+    assert shown[1] == "error: broken"
+
+
+def on_screen(written):
+    """The lines that a terminal shows which has been sent this."""
+    lines, row, column = [""], 0, 0
+    for part in re.findall(r"\x1b\[A|\r|\n|[^\x1b\r\n]+", written):
+        if part == "\x1b[A":
+            row -= 1
+        elif part == "\r":
+            column = 0
+        elif part == "\n":
+            row, column = row + 1, 0
+            lines += [""] * (row + 1 - len(lines))
+        else:
+            lines[row] = lines[row].ljust(column)[:column] + part + lines[row][column + len(part) :]
+            column += len(part)
+    return [line.rstrip() for line in lines if line.strip()]
+
+
+@pytest.mark.parametrize("name", ["histogram", "picture", "cloud", "scalar", "detail"])
+def test_several_recorders_pass_on_what_they_are_told(name):
+    told = {
+        "histogram": ("residuals/px", torch.ones(2), 0),
+        "picture": ("matches/1", torch.zeros(1, 1, 3, dtype=torch.uint8), 0),
+        "cloud": ("sparse", torch.zeros(1, 3), torch.zeros(1, 3), 0),
+        "scalar": ("adjustment/cost", 1.0, 0),
+        "detail": ("cost 2 to 1",),
+    }[name]
+    heard = []
+
+    class Hearing(SilentRecorder):
+        wants_pictures = True
+
+        def __getattribute__(self, asked):
+            return (lambda *what: heard.append(what)) if asked == name else super().__getattribute__(asked)
+
+    both = Recorders(SilentRecorder(), Hearing(), Hearing())
+    getattr(both, name)(*told)
+
+    assert heard == [told, told]
+    assert both.wants_pictures
+    assert not Recorders(SilentRecorder(), SilentRecorder()).wants_pictures
 
 
 def test_tensorboard_takes_lumps_in_silence(tmp_path):

@@ -1,6 +1,7 @@
 """Results on disk: written whole or not at all, and read back as they were."""
 
 import json
+from dataclasses import replace
 
 import pytest
 import torch
@@ -8,6 +9,7 @@ import trimesh
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.scene import (
+    Assessment,
     CaptureError,
     Reconstruction,
     load_cameras,
@@ -50,6 +52,24 @@ def test_cameras_survive_the_file_to_the_last_bit(tmp_path, reconstruction):
     assert torch.equal(loaded.center[0], reconstruction.center[0])
     assert torch.equal(loaded.intrinsics.distortion, reconstruction.intrinsics.distortion)
     assert (loaded.index_ratio, loaded.length_unit) == (1.333, "cm")
+
+
+def test_covariances_of_centres_survive_the_file_to_the_last_bit(tmp_path, draw, reconstruction):
+    half = draw.normal(1, 3, 3)
+    covariance = half @ half.mT
+    known = Assessment(center_covariance=covariance)
+
+    write_cameras(replace(reconstruction, assessment=known), tmp_path / "cameras.json")
+    told = load_cameras(tmp_path / "cameras.json").assessment
+
+    assert torch.equal(told.center_covariance, covariance)
+    assert float(told.center_sigma) == pytest.approx(float(covariance[0].trace() / 3.0) ** 0.5)
+
+
+def test_without_covariances_nothing_is_known_of_the_centres(tmp_path, reconstruction):
+    write_cameras(reconstruction, tmp_path / "cameras.json")
+
+    assert load_cameras(tmp_path / "cameras.json").assessment == Assessment()
 
 
 def test_an_unregistered_image_has_a_reason_and_no_pose(tmp_path, reconstruction):

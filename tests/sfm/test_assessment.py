@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from torchrefrac.bundle import BundleOptions
+from torchrefrac.geometry import heading_rotation
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.scene import Assessment
 from torchrefrac.sfm.adjustment import adjust_model, assess_model
@@ -41,6 +42,25 @@ def test_noise_and_errors_are_told_as_large_as_they_are(adjusted):
     assert 0.5 < float(ratio) < 2.0
     assert told.index_ratio_sigma is None
     assert told.held == {}
+
+
+def test_covariances_of_centres_agree_with_their_deviations_and_turn_with_the_world(adjusted):
+    survey, model, options, report = adjusted()
+    turn = heading_rotation(torch.tensor(0.7, dtype=torch.float64))
+    turned = replace(
+        model, rotation=model.rotation @ turn.mT, center=model.center @ turn.mT, points=model.points @ turn.mT
+    )
+
+    told = assess_model(model, survey.capture, options, report.held).center_covariance
+    other = assess_model(turned, survey.capture, options, report.held)
+
+    assert told is not None
+    assert other.center_covariance is not None
+    assert other.center_sigma is not None
+    assert torch.allclose(told, told.mT)
+    assert (torch.linalg.eigvalsh(told) > 0.0).all()
+    assert torch.allclose(other.center_covariance, turn @ told @ turn.mT, rtol=1e-3, atol=1e-6 * float(told.max()))
+    assert torch.allclose(other.center_sigma.square(), torch.einsum("mii->m", told) / 3.0, rtol=1e-3)
 
 
 def test_water_and_scale_are_told_in_sentences(adjusted):

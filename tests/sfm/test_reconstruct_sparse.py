@@ -200,6 +200,51 @@ def test_the_recorder_hears_of_every_image_and_of_the_cost_in_order(survey_of, r
     assert images == [3, 4]
     assert len(steps) > 0
     assert steps == list(range(len(steps)))
+    damping = [(value, step) for name, value, step in recorder.scalars if name == "adjustment/damping"]
+    assert [step for _, step in damping] == steps
+    assert all(value > 0.0 for value, _ in damping)
+
+
+def test_the_recorder_hears_how_many_points_agree_with_each_new_pose(survey_of, reconstruct, recorder):
+    reconstruct(survey_of(points=100, noise=0.1, outliers=0.1), recorder=recorder)
+
+    told = {name: [v for n, v, _ in recorder.scalars if n == name] for name, _, _ in recorder.scalars}
+    assert len(told["registration/inliers"]) == len(told["registration/images"]) == 2
+    assert all(value >= 20 for value in told["registration/inliers"])
+    assert all(0.5 < value <= 1.0 for value in told["registration/inlier_ratio"])
+
+
+def test_residuals_and_points_are_shown_after_every_adjustment_of_everything(survey_of, reconstruct):
+    pictures = Pictures()
+
+    reconstruction = reconstruct(survey_of(points=100, noise=0.1), recorder=pictures)
+
+    assert [step for _, step in pictures.histograms] == [step for _, step in pictures.clouds]
+    assert [step for _, step in pictures.clouds] == list(range(len(pictures.details) + 1))
+    values, _ = pictures.histograms[-1]
+    assert torch.equal(values, reconstruction.reprojection_errors())
+    points, _ = pictures.clouds[-1]
+    assert torch.equal(points, reconstruction.points)
+    assert all(text.startswith("adjusted ") and " iterations, " in text for text in pictures.details)
+
+
+class Pictures(SilentRecorder):
+    """Keeps histograms, clouds and details."""
+
+    wants_pictures = True
+
+    def __init__(self):
+        self.histograms, self.clouds, self.details = [], [], []
+
+    def histogram(self, name, values, step):
+        self.histograms.append((values, step))
+
+    def cloud(self, name, points, colors, step):
+        assert len(points) == len(colors)
+        self.clouds.append((points, step))
+
+    def detail(self, text):
+        self.details.append(text)
 
 
 class _Knowing:

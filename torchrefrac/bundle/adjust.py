@@ -31,6 +31,10 @@ class BundleReport:
     problem: BundleProblem
     held: dict[str, str] = field(default_factory=dict)
 
+    def summary(self) -> str:
+        """How it went, in a line."""
+        return f"cost {self.costs[0]:.6g} to {self.costs[-1]:.6g} in {self.iterations} iterations, {self.status}"
+
 
 def adjust(
     state: BundleState,
@@ -41,7 +45,7 @@ def adjust(
     terms: Sequence[Term] = (),
     held: Tensor | None = None,
     check: bool = True,
-    callback: Callable[[int, float], None] | None = None,
+    callback: Callable[[int, float, float], None] | None = None,
 ) -> BundleReport:
     """Minimise the reprojection error, and that of all `terms`, over all that varies (paper, section 3.5, and more).
 

@@ -7,11 +7,12 @@ from torchrefrac.config.options import (
     DensifyOptions,
     ModelOptions,
     Options,
+    OutputOptions,
     PlaneOptions,
     RunOptions,
     WaterOptions,
 )
-from torchrefrac.config.scenes import FolderOptions, build_scene
+from torchrefrac.config.scenes import FolderOptions, build_scene, scene_folder
 
 __all__ = [
     "FRESH_WATER",
@@ -21,9 +22,11 @@ __all__ = [
     "ModelOptions",
     "OptionError",
     "Options",
+    "OutputOptions",
     "PlaneOptions",
     "RunOptions",
     "WaterOptions",
     "build",
     "build_scene",
+    "scene_folder",
 ]

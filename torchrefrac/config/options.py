@@ -70,30 +70,39 @@ class Options:
 
 
 @dataclass(frozen=True)
-class RunOptions:
-    """A run from the command line: a scene, how to reconstruct it, and the folder for the results.
+class OutputOptions:
+    """out: folder for the results. cache: folder where made scenes are kept, by default the user's cache. quiet: only
+    errors are said. report: whether report.html is written."""
 
-    cache: folder where made scenes are kept, by default the user's cache. quiet: only errors are said.
-    """
-
-    scene: FolderOptions | SyntheticOptions
-    reconstruction: Options
     out: str
     cache: str | None = None
     quiet: bool = False
+    report: bool = True
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """A run from the command line: a scene, how to reconstruct it, and where the results go."""
+
+    scene: FolderOptions | SyntheticOptions
+    reconstruction: Options
+    output: OutputOptions
 
 
 @dataclass(frozen=True)
 class DensifyOptions:
     """A run folder from the command line, how to make it dense, and what to write.
 
-    capture: folder of the photographs, by default the one that the run's metrics.json names.
+    capture: folder of the photographs, by default the one that the run's metrics.json names. quiet, report: as in
+    `OutputOptions`.
     """
 
     run: str
     capture: str | None = None
     dense: DenseOptions = field(default_factory=lambda: DenseOptions(method="patch"))
     outputs: DenseOutputs = field(default_factory=DenseOutputs)
+    quiet: bool = False
+    report: bool = True
 
     def __post_init__(self) -> None:
         if self.dense.method == "none":
@@ -128,7 +137,8 @@ class AdjustOptions(ReadjustOptions):
 
     alignment: folder of a COLMAP model or of a run. plane: where the water is without a water.json. index_ratio: by
     default that of the water.json, or of fresh water. survey: path of a survey.json. truth: folder of a truth.json, by
-    default that of the alignment. format: of the COLMAP model that is written.
+    default that of the alignment. format: of the COLMAP model that is written. quiet, report: as in
+    `OutputOptions`.
     """
 
     alignment: str
@@ -139,6 +149,8 @@ class AdjustOptions(ReadjustOptions):
     survey: str | None = None
     truth: str | None = None
     format: Literal["text", "binary"] = "text"
+    quiet: bool = False
+    report: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()

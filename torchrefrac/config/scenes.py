@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from torchrefrac.config.build import OptionError, build
+from torchrefrac.recorder import Recorder
+from torchrefrac.scene.library import embedded_scene, made_scene
 from torchrefrac.scene.synthetic.options import SyntheticOptions
 from torchrefrac.scene.synthetic.scenes import SCENES
 
@@ -35,3 +37,13 @@ def build_scene(values: Mapping[str, Any], path: str = "scene") -> FolderOptions
     if kind not in SCENES:
         raise OptionError(f"{path}.kind is {kind!r}, but must be one of {', '.join(SCENES)}")
     return build(SCENES[kind], others, path)
+
+
+def scene_folder(scene: FolderOptions | SyntheticOptions, cache: str | None, recorder: Recorder) -> Path:
+    """Where the capture of a scene lies. A made scene is rendered into `cache` unless it is there already.
+
+    Raises CaptureError where an embedded scene is not known or a scene cannot be made.
+    """
+    if isinstance(scene, SyntheticOptions):
+        return made_scene(scene, None if cache is None else Path(cache), recorder)
+    return embedded_scene(scene.name) if scene.path is None else Path(scene.path)

@@ -56,11 +56,18 @@ def densify(
     if not hoods:
         raise DenseError(_nothing_to_compare(reconstruction))
     patches = _collect(hoods, reconstruction, images, options, recorder, store)
-    if options.method == "depthmap":
-        patches = fuse(patches, reconstruction.cameras, options.cell, _fewest_maps(hoods, options))
-    patches = patches[unobstructing(patches, reconstruction.cameras, options.cell)]
-    patches = patches[supported(patches, options.cell)]
-    return Dense(_cloud(patches, images, reconstruction), patches)
+    with recorder.meter(4, "fusing", "") as advance:
+        if options.method == "depthmap":
+            patches = fuse(patches, reconstruction.cameras, options.cell, _fewest_maps(hoods, options))
+        advance(1, "hidden patches")
+        patches = patches[unobstructing(patches, reconstruction.cameras, options.cell)]
+        advance(1, "lonely patches")
+        patches = patches[supported(patches, options.cell)]
+        advance(1, "colours")
+        dense = Dense(_cloud(patches, images, reconstruction), patches)
+        advance(1, f"{len(patches)} patches")
+    recorder.scalar("dense/points", len(patches), 0)
+    return dense
 
 
 def depth_maps(dense: Dense, reconstruction: Reconstruction, options: DenseOptions) -> Iterator[DepthMap]:

@@ -13,7 +13,7 @@ from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.view_angle import angle_between, fitness
 from torchrefrac.dense.window import Window
-from torchrefrac.dense.workers import side_by_side
+from torchrefrac.numerics.workers import side_by_side
 from torchrefrac.optim.batched import minimize_each
 
 TOLERANCE = 1e-3  # of the cost: an adjustment ends within a fifth of a standard deviation

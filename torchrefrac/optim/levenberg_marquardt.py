@@ -73,9 +73,10 @@ def minimize(
     problem: Problem[State],
     state: State,
     options: LevenbergMarquardtOptions,
-    callback: Callable[[int, float], None] | None = None,
+    callback: Callable[[int, float, float], None] | None = None,
 ) -> MinimizeReport[State]:
-    """Minimise `problem` from `state`; `callback(iteration, cost)` hears of every accepted step.
+    """Minimise `problem` from `state`; `callback(iteration, cost, damping)` hears of every accepted step: the cost
+    after it, and the damping that it was taken with.
 
     The state returned is never worse than the one given. Statuses: "converged"; "max_iterations"; "stalled", no step
     lowers the cost at any damping (usually a minimum to rounding); "not_finite", the cost of the start is not a number.
@@ -95,12 +96,12 @@ def minimize(
         tried_cost, predicted, solved = told.tolist()
         decrease = cost - tried_cost
         if solved and math.isfinite(tried_cost) and predicted > 0.0 and decrease >= 0.0:
-            damping *= max(1.0 / 3.0, 1.0 - (2.0 * decrease / predicted - 1.0) ** 3)
-            growth = 2.0
             state, cost, current = candidate, tried_cost, tried
             costs.append(cost)
             if callback is not None:
-                callback(iteration, cost)
+                callback(iteration, cost, damping)
+            damping *= max(1.0 / 3.0, 1.0 - (2.0 * decrease / predicted - 1.0) ** 3)
+            growth = 2.0
             if decrease <= options.function_tolerance * cost:
                 return MinimizeReport(state, "converged", iteration, costs)
         else:

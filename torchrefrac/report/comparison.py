@@ -1,10 +1,8 @@
 """Several runs of one scene side by side: the paper's Table 1 and Figure 1, and the same of dense surfaces."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from torchrefrac.geometry import Similarity
 from torchrefrac.report.dense_figures import dense_view, draw_dense_views, draw_error_map, error_panel
@@ -12,25 +10,36 @@ from torchrefrac.report.dense_metrics import FOUND, TYPICAL
 from torchrefrac.report.dense_outputs import DENSE_CLOUD
 from torchrefrac.report.figures import TITLES, draw_side_views, side_view
 from torchrefrac.report.metrics import evaluate
+from torchrefrac.report.sweep.jobs import Job, failed_first, has_paper_form, load_jobs, scenes_of, what_varied
+from torchrefrac.report.sweep.markdown import decimals, markdown_table
+from torchrefrac.report.sweep.pictured import FIGURES, shown_together
+from torchrefrac.report.sweep.units import error_text, in_header, unit_of
 from torchrefrac.scene import Reconstruction, Truth, load_cameras, load_dense, load_points, load_truth
 from torchrefrac.scene.atomic import replacing
 
 
 def compare(runs: Sequence[Path], folder: Path) -> str:
-    """Write table1.md and figure1.png of the run folders `runs` into `folder`; returns the table.
+    """Write table1.md and figure1.png of the run folders `runs` into `folder`; returns the table, failed runs first.
 
     Where runs are dense, also dense_figure1.png, and dense_error_map.png where the truth has planes. Runs of several
-    scenes share the table and get figures of their own, figure1_SCENE.png and so on.
+    scenes share the table and get figures of their own, figure1_SCENE.png and so on. A run without a readable
+    metrics.json counts as failed.
+
+    Runs that differ in more than scene, model and dense method have a figure for each scene and combination of the
+    other values, figure1_SCENE_VALUE.png, where 2 to 6 runs share these. There is no table of theirs: the text returned
+    is empty, and a table1.md that an earlier sweep left is removed. See `sweep.write_summary`.
     """
-    metrics = [json.loads((run / "metrics.json").read_text(encoding="utf-8")) for run in runs]
-    complete = [(run, m) for run, m in zip(runs, metrics, strict=True) if m["status"] == "complete"]
-    scenes = list(dict.fromkeys(m["capture"] for _, m in complete))
-    for scene in scenes:
-        end = ".png" if len(scenes) == 1 else f"_{Path(scene).name}.png"
-        _draw([(run, m) for run, m in complete if m["capture"] == scene], load_truth(Path(scene)), folder, end)
-    labels = _labels(runs, metrics, len(scenes) > 1)
-    table = _table(metrics, labels)
-    dense = [(m, label) for m, label in zip(metrics, labels, strict=True) if "dense_points" in m]
+    jobs = load_jobs(runs)
+    design = what_varied(jobs)
+    for end, shown in shown_together(jobs, design).items():
+        _draw([job for job in shown if _has_results(job)], folder, end)
+    if not has_paper_form(design):
+        (folder / "table1.md").unlink(missing_ok=True)
+        return ""
+    jobs = failed_first(jobs)
+    labels = _labels(jobs)
+    table = _table(jobs, labels)
+    dense = [(job, label) for job, label in zip(jobs, labels, strict=True) if "dense_points" in job.metrics]
     if dense:
         table += "\n\n" + _dense_table(dense)
     with replacing(folder / "table1.md") as temporary:
@@ -38,112 +47,119 @@ def compare(runs: Sequence[Path], folder: Path) -> str:
     return table
 
 
-def _draw(runs: Sequence[tuple[Path, dict[str, Any]]], truth: Truth | None, folder: Path, end: str) -> None:
+def _has_results(job: Job) -> bool:
+    return all((job.folder / name).is_file() for name in ("cameras.json", "points.ply"))
+
+
+def _draw(jobs: Sequence[Job], folder: Path, end: str) -> None:
+    """The figures of jobs with one capture; none without jobs."""
+    if not jobs:
+        return
+    capture = jobs[0].metrics.get("capture")
+    truth = load_truth(Path(capture)) if isinstance(capture, str) else None
+    names = [f"{kind}{end}" for kind in FIGURES]
     views, dense = [], []
-    for run, measured in runs:
-        points, colors = load_points(run / "points.ply")
-        reconstruction = replace(load_cameras(run / "cameras.json"), points=points, colors=colors)
+    for job, title in zip(jobs, _titles(jobs), strict=True):
+        points, colors = load_points(job.folder / "points.ply")
+        reconstruction = replace(load_cameras(job.folder / "cameras.json"), points=points, colors=colors)
         aligned = evaluate(reconstruction, truth)[1] if truth is not None else None
-        views.append(side_view(measured["model"], reconstruction, aligned, measured))
-        if "dense_points" in measured and (run / DENSE_CLOUD).is_file():
-            dense.append((run, measured, reconstruction, aligned))
-    draw_side_views(views, truth, folder / f"figure1{end}")
+        views.append(side_view(title, reconstruction, aligned, job.metrics))
+        if "dense_points" in job.metrics and (job.folder / DENSE_CLOUD).is_file():
+            dense.append((title, job, reconstruction, aligned))
+    draw_side_views(views, truth, folder / names[0])
     if dense:
-        _draw_dense(dense, truth, folder, end)
+        _draw_dense(dense, truth, folder / names[1], folder / names[2])
 
 
 def _draw_dense(
-    runs: Sequence[tuple[Path, dict[str, Any], Reconstruction, Similarity | None]],
+    shown: Sequence[tuple[str, Job, Reconstruction, Similarity | None]],
     truth: Truth | None,
-    folder: Path,
-    end: str,
+    views_path: Path,
+    map_path: Path,
 ) -> None:
     views, panels = [], []
-    for run, measured, reconstruction, aligned in runs:
-        cloud = load_dense(run / DENSE_CLOUD)
-        views.append(dense_view(measured["model"], cloud, reconstruction, aligned, measured))
+    for title, job, reconstruction, aligned in shown:
+        cloud = load_dense(job.folder / DENSE_CLOUD)
+        views.append(dense_view(title, cloud, reconstruction, aligned, job.metrics))
         if truth is not None and aligned is not None and len(truth.corner):
-            panels.append(error_panel(measured["model"], cloud, aligned, truth, measured))
-    draw_dense_views(views, truth, folder / f"dense_figure1{end}")
+            panels.append(error_panel(title, cloud, aligned, truth, job.metrics))
+    draw_dense_views(views, truth, views_path)
     if truth is not None and panels:
-        draw_error_map(panels, truth, folder / f"dense_error_map{end}")
+        draw_error_map(panels, truth, map_path)
 
 
-def _labels(runs: Sequence[Path], metrics: Sequence[dict[str, Any]], several_scenes: bool) -> list[str]:
-    """Model, with the scene and the dense method where there are several, and with the run folder where that is not
-    unique."""
-    labels = [TITLES.get(m["model"], str(m["model"])) for m in metrics]
-    if several_scenes:
-        labels = [f"{Path(m.get('capture', '?')).name}: {label}" for m, label in zip(metrics, labels, strict=True)]
-    methods = [m.get("dense_method") for m in metrics]
-    if len(set(methods)) > 1:
-        labels = [label + (f", {method}" if method else "") for method, label in zip(methods, labels, strict=True)]
-    if len(set(labels)) < len(labels):
-        labels = [f"{label} [{run.name}]" for run, label in zip(runs, labels, strict=True)]
-    return labels
+def _titles(jobs: Sequence[Job]) -> list[str]:
+    """Model, with the dense method where there are several, and with the run folder where that is not unique."""
+    return _told_apart(_names(jobs), jobs)
 
 
-def _table(metrics: Sequence[dict[str, Any]], labels: Sequence[str]) -> str:
+def _labels(jobs: Sequence[Job]) -> list[str]:
+    """The same for a table, with the scene before it where there are several."""
+    labels = _names(jobs)
+    if len(scenes_of(job for job in jobs if job.is_complete)) > 1:
+        labels = [f"{job.scene or '?'}: {label}" for job, label in zip(jobs, labels, strict=True)]
+    return _told_apart(labels, jobs)
+
+
+def _names(jobs: Sequence[Job]) -> list[str]:
+    names = [TITLES.get(job.model, job.model or "unknown") for job in jobs]
+    methods = [job.metrics.get("dense_method") for job in jobs]
+    if len(set(methods)) == 1:
+        return names
+    return [name + (f", {method}" if method else "") for method, name in zip(methods, names, strict=True)]
+
+
+def _told_apart(words: list[str], jobs: Sequence[Job]) -> list[str]:
+    if len(set(words)) == len(words):
+        return words
+    return [f"{word} [{job.folder.name}]" for word, job in zip(words, jobs, strict=True)]
+
+
+def _table(jobs: Sequence[Job], labels: Sequence[str]) -> str:
     """One line a run, in Markdown that reads well in a terminal too.
 
     Camera RMS after alignment, median distance of the points from the true surface, median reprojection error.
     """
-    unit = _unit(metrics, "camera_rms_")
-    header = ["model", "images", "points", "error (px)", "seconds"]
-    if unit:
-        header[1:1] = [f"camera RMS ({unit})", f"off surface ({unit})"]
+    errors = {"camera RMS": "camera_rms", "off surface": "surface_median"} if unit_of(jobs, "camera_rms") else {}
+    header = ["model", *(in_header(title, jobs, stem) for title, stem in errors.items())]
+    header += ["images", "points", "error (px)", "seconds"]
     rows = []
-    for m, label in zip(metrics, labels, strict=True):
+    for job, label in zip(jobs, labels, strict=True):
         row = [label]
-        if m["status"] != "complete":
-            rows.append([*row, m["status"], *[""] * (len(header) - 2)])
+        if not job.is_complete:
+            rows.append([*row, job.status, *[""] * (len(header) - 2)])
             continue
-        if unit:
-            row += [_number(m.get(f"camera_rms_{unit}")), _number(m.get(f"surface_median_{unit}"))]
-        row += [f"{m['registered_images']}/{m['images']}", str(m["points"])]
-        row += [f"{m['reprojection_median_px']:.3f}", f"{m['seconds_total']:.1f}"]
+        row += [error_text(job, jobs, stem) for stem in errors.values()]
+        row += [f"{_rounded(job, 'registered_images')}/{_rounded(job, 'images')}", _rounded(job, "points")]
+        row += [_rounded(job, "reprojection_median_px", 3), _rounded(job, "seconds_total", 1)]
         rows.append(row)
-    return _markdown(header, rows)
+    return markdown_table(header, rows)
 
 
-def _dense_table(runs: Sequence[tuple[dict[str, Any], str]]) -> str:
+def _dense_table(jobs: Sequence[tuple[Job, str]]) -> str:
     """The same of dense surfaces.
 
     Share of the points that lie near the true surface, share of the textured true surface that has points near it
     (found), RMS distance of the inliers from the true planes.
     """
-    unit = _unit([m for m, _ in runs], "dense_surface_median_")
+    unit = unit_of((job for job, _ in jobs), "dense_surface_median")
     near, found = (f"within_{limit:g}_{unit}" for limit in (TYPICAL, FOUND))
     header = ["dense", "points", "patches/s", "seconds"]
     if unit:
         header[2:2] = [f"within {TYPICAL:g} {unit}", "found", f"RMS ({unit})"]
     rows = []
-    for m, label in runs:
-        row = [label, str(m["dense_points"])]
+    for job, label in jobs:
+        row = [label, _rounded(job, "dense_points")]
         if unit:
-            row += [_percent(m.get(f"dense_accuracy_{near}")), _percent(m.get(f"dense_completeness_{found}"))]
-            row.append(_number(m.get(f"dense_plane_rms_{unit}")))
-        rows.append([*row, f"{m.get('dense_patches_per_s', 0.0):.0f}", f"{m.get('seconds_dense', 0.0):.1f}"])
-    return _markdown(header, rows)
+            row += [_percent(job.number(f"dense_accuracy_{near}")), _percent(job.number(f"dense_completeness_{found}"))]
+            row.append(decimals(job.number(f"dense_plane_rms_{unit}")))
+        rows.append([*row, _rounded(job, "dense_patches_per_s", 0), _rounded(job, "seconds_dense", 1)])
+    return markdown_table(header, rows)
 
 
-def _unit(metrics: Sequence[dict[str, Any]], start: str) -> str:
-    """The unit that ends the name of a metric; empty where no run has it."""
-    return next((key.removeprefix(start) for m in metrics for key in m if key.startswith(start)), "")
-
-
-def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
-    lines = [_line(header, widths), "|" + "|".join("-" * (w + 2) for w in widths) + "|"]
-    return "\n".join(lines + [_line(row, widths) for row in rows])
-
-
-def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    return "| " + " | ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)) + " |"
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}"
+def _rounded(job: Job, name: str, places: int = 0) -> str:
+    value = job.number(name)
+    return "-" if value is None else f"{value:.{places}f}"
 
 
 def _percent(share: float | None) -> str:

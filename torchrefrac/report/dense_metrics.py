@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from torchrefrac.geometry import Similarity
-from torchrefrac.report.metrics import distance_to_each_rectangle, distance_to_rectangles, rms
+from torchrefrac.report.metrics import rms
 from torchrefrac.scene.dense import DenseCloud
+from torchrefrac.scene.true_surface import TrueSurface, distance_to_each_rectangle
 from torchrefrac.scene.truth import Truth
 from torchrefrac.scene.truth_points import TruthPoints
 
@@ -39,26 +40,32 @@ def evaluate_dense(
 
     With UNIT the truth's length unit, for every threshold T of `within`:
 
-    - dense_accuracy_within_T_UNIT: share (0 to 1) of the points that lie nearer than T to a true rectangle;
+    - dense_accuracy_within_T_UNIT: share (0 to 1) of the points that lie nearer than T to the true surface: the mesh of
+      the truth, or its rectangles where it has none;
     - dense_completeness_within_T_UNIT: share of `seen` (k, 3), true surface points in the truth's frame that should be
       there (see `textured_points`), with a point of the cloud nearer than T;
-    - dense_surface_median_UNIT, dense_surface_p95_UNIT: of the distance to the nearest true rectangle;
+    - dense_surface_median_UNIT, dense_surface_p95_UNIT: of the distance to the nearest place of it;
     - dense_plane_rms_UNIT: RMS distance to the nearest true plane over the inliers, those within 3 robust standard
       deviations (1.4826 times the median error) of this cloud's own errors; dense_plane_inliers, their share;
-      dense_plane_rms_each_UNIT, the same for each plane (None where no inlier lies nearest to it);
+      dense_plane_rms_each_UNIT, the same for each plane (None where no inlier lies nearest to it); beside a mesh, only
+      points take part whose nearest place of the surface lies on a plane;
     - dense_error_over_sigma: RMS over the inliers of that distance over the point's sigma, about 1 where sigma is
       honest and surfaces are seen from straight above; sigma is along the viewing ray, so a slanted view makes it less.
 
-    What is not defined is left out: accuracy without points or rectangles, completeness without `seen`.
+    What is not defined is left out: accuracy without points or a true surface, what is of
+    planes without any, completeness without `seen`.
     """
     unit, points = truth.length_unit, alignment.apply(cloud.points)
     metrics: Metrics = {}
-    if len(points) and len(truth.corner):
-        distance = distance_to_rectangles(points, truth)
+    surface = TrueSurface(truth)
+    if len(points) and surface.is_known:
+        distance = surface.distance(points)
         metrics |= {f"dense_accuracy_within_{t:g}_{unit}": float((distance < t).double().mean()) for t in within}
         metrics[f"dense_surface_median_{unit}"] = _quantile(distance, 0.5)
         metrics[f"dense_surface_p95_{unit}"] = _quantile(distance, 0.95)
-        metrics |= _plane_metrics(points, alignment.scale * cloud.sigma, truth)
+        flat = surface.nearest_is_plane(points, distance)
+        if flat.any():
+            metrics |= _plane_metrics(points[flat], alignment.scale * cloud.sigma[flat], truth)
     if seen is not None and len(seen):
         gap = _distance_to_nearest(seen, points, max(within))
         metrics |= {f"dense_completeness_within_{t:g}_{unit}": float((gap < t).double().mean()) for t in within}

@@ -70,9 +70,13 @@ def write_dense_outputs(
     folder: Path,
 ) -> None:
     """Write dense.ply and the `outputs`. Raises DenseError where raster_cell is too small for the extent."""
-    write_dense(dense.cloud, folder / DENSE_CLOUD)
-    if outputs.raster or outputs.mesh or outputs.geotiff:
-        _write_surface(_raster_of(dense.cloud, outputs), outputs, folder)
+    with recorder.meter(3, "writing", "") as advance:
+        write_dense(dense.cloud, folder / DENSE_CLOUD)
+        advance(1, "")
+        if outputs.raster or outputs.mesh or outputs.geotiff:
+            raster = _raster_of(dense.cloud, outputs)
+            advance(1, "")
+            _write_surface(raster, outputs, folder)
     if outputs.depth_maps:
         _write_depth_maps(dense, reconstruction, options, recorder, folder / DEPTH_MAPS)
 

@@ -13,6 +13,7 @@ from torchrefrac.scene import Reconstruction, Truth
 from torchrefrac.scene.atomic import replacing
 
 TITLES = {"none": "No refraction", "radial": "Radial distortion", "refractive": "Refraction"}
+MODEL_COLORS = {"none": "#d55e00", "radial": "#009e73", "refractive": "#0072b2"}  # told apart by the colour-blind too
 WATER, INK, FAINT = "#2b7bba", "#222222", "#c4c4c4"
 PANEL_INCHES = 4.4
 
@@ -44,10 +45,20 @@ def side_view(
 
 
 def draw_side_views(views: Sequence[SideView], truth: Truth | None, path: Path) -> None:
+    """Write the paper's Figure 1, `side_views_figure`, to a file."""
+    figure = side_views_figure(views, truth)
+    with replacing(path) as temporary:
+        figure.savefig(temporary)
+
+
+def side_views_figure(
+    views: Sequence[SideView], truth: Truth | None, colors: Any = "jet_r", panel_inches: float = PANEL_INCHES
+) -> Any:
     """The paper's Figure 1: reconstructions side by side, seen from the side, coloured by height.
 
-    Red is the lowest point, blue the highest, on one scale for all panels; the true planes are drawn as lines. The
-    direction of sight is the horizontal one along which the true planes look thinnest (without truth: along y).
+    Red is the lowest point, blue the highest (or by another colour map `colors`), on one scale for all panels, which
+    are about `panel_inches` wide; the true planes are drawn as lines. The direction of sight is the horizontal one
+    along which the true planes look thinnest (without truth: along y).
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
     from matplotlib.figure import Figure  # noqa: PLC0415
@@ -57,7 +68,8 @@ def draw_side_views(views: Sequence[SideView], truth: Truth | None, path: Path) 
     low, high = _height_range(views, truth)
     limits = _limits(views, truth, across)
     width, height = (end - start for start, end in limits)
-    figure = Figure(figsize=(1.6 + PANEL_INCHES * len(views), 1.35 + PANEL_INCHES * height / width), dpi=150)
+    lines = 0.2 * max(view.caption.count("\n") for view in views)
+    figure = Figure(figsize=(1.6 + panel_inches * len(views), 1.35 + lines + panel_inches * height / width), dpi=150)
     figure.set_layout_engine("constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(views), sharex=True, sharey=True, squeeze=False)[0]
@@ -66,7 +78,7 @@ def draw_side_views(views: Sequence[SideView], truth: Truth | None, path: Path) 
             _draw_planes(panel, truth, across)
         z = view.points[:, 2].numpy()
         dots = panel.scatter(
-            (view.points[:, :2] @ across).numpy(), z, c=z, s=2.5, cmap="jet_r", vmin=low, vmax=high, linewidths=0,
+            (view.points[:, :2] @ across).numpy(), z, c=z, s=2.5, cmap=colors, vmin=low, vmax=high, linewidths=0,
             zorder=3,
         )  # fmt: skip
         panel.plot((view.centers[:, :2] @ across).numpy(), view.centers[:, 2].numpy(), "^", ms=5, mfc="none", mec=INK)
@@ -84,11 +96,10 @@ def draw_side_views(views: Sequence[SideView], truth: Truth | None, path: Path) 
     handles = [Line2D([], [], marker="^", ls="", mfc="none", mec=INK, label="cameras")]
     if any(view.has_water for view in views):
         handles.append(Line2D([], [], color=WATER, label="water surface"))
-    if truth is not None:
+    if truth is not None and len(truth.corner):
         handles.append(Line2D([], [], color=FAINT, lw=3, label="true planes"))
     figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=9, frameon=False)
-    with replacing(path) as temporary:
-        figure.savefig(temporary)
+    return figure
 
 
 def side_direction(truth: Truth | None) -> Tensor:

@@ -6,7 +6,9 @@ import torch
 from torch import Tensor
 
 from torchrefrac.geometry import Similarity, align_above_plane, align_similarity, so3_log
+from torchrefrac.report.point_errors import point_metrics
 from torchrefrac.scene import Reconstruction, Truth
+from torchrefrac.scene.true_surface import TrueSurface
 
 MIN_SIMILARITY_CAMERAS = 3
 
@@ -42,13 +44,21 @@ def evaluate(reconstruction: Reconstruction, truth: Truth) -> tuple[dict[str, fl
     """Errors of cameras and points after aligning the cameras to the true ones, and that alignment.
 
     Refractive: 4-dof alignment, which leaves water plane and vertical alone. Without refraction: the full similarity,
-    as in the paper's Table 1. An alignment that the number of common cameras does not determine gives no figures.
+    as in the paper's Table 1. An alignment that the number of common cameras does not determine gives no errors.
+
+    With UNIT the truth's length unit, after the alignment: camera_rms_UNIT, camera_max_UNIT, camera_rotation_rms_deg;
+    surface_median_UNIT, surface_rms_UNIT, surface_p95_UNIT: of the points' distance to the nearest place of the true
+    surface, where there is one; point_median_UNIT, point_rms_UNIT and flatness_UNIT of `point_metrics`, where the truth
+    has an index ratio and a lens, too. true_index_ratio: where the truth has it.
     """
+    known: dict[str, float | int | str] = {}
+    if truth.index_ratio is not None:
+        known["true_index_ratio"] = truth.index_ratio
     common = [(i, truth.names.index(name)) for i, name in enumerate(reconstruction.names) if name in truth.names]
     rows = [(i, j) for i, j in common if bool(reconstruction.registered[i])]
     refractive = reconstruction.index_ratio > 1.0
     if len(rows) < (2 if refractive else MIN_SIMILARITY_CAMERAS):
-        return {"alignment": "none: too few registered cameras"}, None
+        return known | {"alignment": "none: too few registered cameras"}, None
     ours, theirs = (torch.tensor(column) for column in zip(*rows, strict=True))
     align = align_above_plane if refractive else align_similarity
     alignment = align(reconstruction.center[ours], truth.center[theirs])
@@ -56,35 +66,22 @@ def evaluate(reconstruction: Reconstruction, truth: Truth) -> tuple[dict[str, fl
     turned = alignment.apply_to_rotation(reconstruction.rotation[ours])
     angle = so3_log(turned @ truth.rotation[theirs].mT).norm(dim=-1) * 180.0 / torch.pi
     unit = truth.length_unit
-    metrics: dict[str, float | int | str] = {
+    metrics = known | {
         "alignment": "4-dof" if refractive else "similarity",
         f"camera_rms_{unit}": rms(distance),
         f"camera_max_{unit}": float(distance.max()),
         "camera_rotation_rms_deg": rms(angle),
     }
-    if len(truth.corner) and len(reconstruction.points):
-        surface = distance_to_rectangles(alignment.apply(reconstruction.points), truth)
+    true_surface = TrueSurface(truth)
+    if true_surface.is_known and len(reconstruction.points):
+        gap = true_surface.distance(alignment.apply(reconstruction.points))
         metrics |= {
-            f"surface_median_{unit}": float(surface.median()),
-            f"surface_rms_{unit}": rms(surface),
-            f"surface_p95_{unit}": float(surface.quantile(0.95)),
+            f"surface_median_{unit}": float(gap.median()),
+            f"surface_rms_{unit}": rms(gap),
+            f"surface_p95_{unit}": float(gap.quantile(0.95)),
         }
+        metrics |= point_metrics(reconstruction, true_surface, alignment)
     return metrics, alignment
-
-
-def distance_to_rectangles(points: Tensor, truth: Truth) -> Tensor:
-    """Distance (N) of points (N, 3) to the nearest true rectangle."""
-    return distance_to_each_rectangle(points, truth).amin(dim=-1)
-
-
-def distance_to_each_rectangle(points: Tensor, truth: Truth) -> Tensor:
-    """Distances (N, k) of points (N, 3) to the true rectangles (k)."""
-    offset = points[:, None] - truth.corner
-    along1, along2 = (
-        ((offset * edge).sum(dim=-1) / edge.square().sum(dim=-1)).clamp(0.0, 1.0) for edge in (truth.edge1, truth.edge2)
-    )
-    nearest = along1[..., None] * truth.edge1 + along2[..., None] * truth.edge2
-    return (offset - nearest).norm(dim=-1)
 
 
 def rms(values: Tensor) -> float:

@@ -14,12 +14,16 @@ from torchrefrac.features import Features
 from torchrefrac.geometry import Similarity
 from torchrefrac.report.dense_outputs import remove_dense_outputs
 from torchrefrac.report.figures import draw_side_views, side_view
+from torchrefrac.report.memory import forget_peak_memory, peak_memory_gib
 from torchrefrac.scene import Capture, Reconstruction, Truth, write_cameras, write_points, write_tracks
 from torchrefrac.scene.alignment import alignment_errors, read_object
 from torchrefrac.scene.atomic import replacing
 from torchrefrac.sfm import VerifiedPair
 
-RESULTS = ("features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png", "metrics.json")
+RESULTS = (
+    "features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png", "report.html",
+    "metrics.json",
+)  # fmt: skip
 DENSE, DENSE_METRICS = "dense", ("dense_", "seconds_dense")  # the stage, and how the names of its metrics begin
 
 
@@ -93,6 +97,7 @@ class RunFolder:
     @contextmanager
     def _until_the_end(self) -> Iterator[None]:
         start = time.perf_counter() - sum(self.metrics.get(f"seconds_{stage}", 0.0) for stage in self.metrics["stages"])
+        forget_peak_memory()
         try:
             yield
         except KeyboardInterrupt:
@@ -108,6 +113,9 @@ class RunFolder:
         if reason:
             self.metrics["reason"] = reason
         self.metrics["seconds_total"] = round(time.perf_counter() - start, 3)
+        memory = peak_memory_gib()
+        if memory is not None:
+            self.metrics["peak_memory_gib"] = round(memory, 3)
         self.save_metrics()
 
 

@@ -55,6 +55,8 @@ def _against_truth(metrics: dict[str, Any]) -> list[str]:
     line = f"against truth ({metrics['alignment']} alignment): cameras {metrics[key]:.4f} {unit} RMS"
     if f"surface_median_{unit}" in metrics:
         line += f", points {metrics[f'surface_median_{unit}']:.4f} {unit} from the surface (median)"
+    if f"flatness_{unit}" in metrics:
+        line += f", bent by {metrics[f'flatness_{unit}']:.4f} {unit}"
     return [line]
 
 
@@ -96,5 +98,8 @@ def dense_lines(metrics: dict[str, Any]) -> list[str]:
     complete = metrics.get(f"dense_completeness_within_{FOUND:g}_{unit}")
     if complete is not None:
         line += f", {100.0 * complete:.1f} % of the textured surface has one within {FOUND:g} {unit}"
-    line += f", {metrics[f'dense_plane_rms_{unit}']:.4f} {unit} RMS from its planes"
-    return [*lines, f"{line} ({100.0 * metrics['dense_plane_inliers']:.0f} % inliers)"]
+    plane_rms = metrics.get(f"dense_plane_rms_{unit}")
+    if plane_rms is not None:
+        line += f", {plane_rms:.4f} {unit} RMS from its planes"
+        line += f" ({100.0 * metrics['dense_plane_inliers']:.0f} % inliers)"
+    return [*lines, line]

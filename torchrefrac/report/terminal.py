@@ -6,73 +6,103 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TextIO, TypeVar
 
-from torch import Tensor
 from tqdm import tqdm
 
-from torchrefrac.recorder import Advance
+from torchrefrac.recorder import Advance, SilentRecorder
+from torchrefrac.report.log_file import plural
 
 T = TypeVar("T")
 WIDTH = 100
+ALIVE_SECONDS = 30.0
 
 
-class TerminalRecorder:
-    """Bars with rate and time left on a terminal, one line a stage elsewhere; curves and clouds are not shown."""
+class TerminalRecorder(SilentRecorder):
+    """Bars with rate and time left on a terminal. Elsewhere one line at the end of a stage, and one every half minute
+    while it lasts. Curves, histograms, pictures and clouds are not shown.
+
+    A context: leaving it ends the bars that still stand, so that what is printed next has a line of its own.
+    """
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stderr
+        self._bars: list[tqdm] = []
 
-    def scalar(self, name: str, value: float, step: int) -> None: ...
+    def __enter__(self) -> "TerminalRecorder":
+        return self
 
-    def cloud(self, name: str, points: Tensor, colors: Tensor, step: int) -> None: ...
+    def __exit__(self, *_: object) -> None:
+        while self._bars:
+            self._bars.pop().close()
 
     def note(self, text: str) -> None:
         tqdm.write(text, file=self._stream)
 
     def track(self, items: Iterable[T], total: int, description: str, unit: str) -> Iterator[T]:
-        if not self._stream.isatty():
-            yield from self._plain(items, total, description, unit)
+        if self._stream.isatty():
+            layout = "{desc}{bar} {n_fmt}/{total_fmt}{unit}  {rate_fmt}  {elapsed}<{remaining}"
+            with self._bar(layout, total, description, f" {plural(unit, total)}") as bar:
+                for item in items:
+                    yield item
+                    bar.update()
             return
-        bar = tqdm(
-            items, total=total, desc=f"{description:<12}", unit=f" {_plural(unit, total)}", ncols=WIDTH,
-            file=self._stream, bar_format="{desc}{bar} {n_fmt}/{total_fmt}{unit}  {rate_fmt}  {elapsed}<{remaining}",
-        )  # fmt: skip
-        yield from bar
+        life = _Life(self._stream, total, description, unit)
+        for item in items:
+            yield item
+            life.advance(1, "")
+        life.end(f"{life.done}/{total}")
 
     @contextmanager
     def meter(self, total: int, description: str, unit: str) -> Iterator[Advance]:
-        if self._stream.isatty():
-            bar = tqdm(
-                total=total, desc=f"{description:<12}", ncols=WIDTH, file=self._stream,
-                bar_format="{desc}{bar} {percentage:3.0f} %{postfix}  {elapsed}<{remaining}",
-            )  # fmt: skip
+        if not self._stream.isatty():
+            life = _Life(self._stream, total, description, unit)
+            yield life.advance
+            life.end(f"{total}")
+            return
+        layout = "{desc}{bar} {percentage:3.0f} %{postfix}  {elapsed}<{remaining}"
+        with self._bar(layout, total, description, unit) as bar:
 
             def show(count: int, text: str) -> None:
                 if text:
                     bar.set_postfix_str(text, refresh=False)
                 bar.update(count)
 
-            with bar:
-                yield show
-            return
-        start, said = time.perf_counter(), ""
+            yield show
 
-        def remember(count: int, text: str) -> None:
-            nonlocal said
-            said = text or said
-
-        yield remember
-        line = f"{description:<12} {total} {_plural(unit, total)} in {time.perf_counter() - start:.1f} s"
-        print(f"{line}, {said}" if said else line, file=self._stream, flush=True)
-
-    def _plain(self, items: Iterable[T], total: int, description: str, unit: str) -> Iterator[T]:
-        start, count = time.perf_counter(), 0
-        for item in items:
-            yield item
-            count += 1
-        seconds = time.perf_counter() - start
-        line = f"{description:<12} {count}/{total} {_plural(unit, total)} in {seconds:.1f} s"
-        print(line, file=self._stream, flush=True)
+    @contextmanager
+    def _bar(self, layout: str, total: int, description: str, unit: str) -> Iterator[tqdm]:
+        """A bar that stays where it is when it ends, unless it stands below another one."""
+        bar = tqdm(
+            total=total, desc=f"{description:<12}", unit=unit, ncols=WIDTH, file=self._stream, bar_format=layout,
+            leave=not self._bars,
+        )  # fmt: skip
+        self._bars.append(bar)
+        try:
+            yield bar
+        finally:
+            if bar in self._bars:
+                self._bars.remove(bar)
+            bar.close()
 
 
-def _plural(unit: str, count: int) -> str:
-    return unit if count == 1 else f"{unit}s"
+class _Life:
+    """One stage in plain lines."""
+
+    def __init__(self, stream: TextIO, total: int, description: str, unit: str) -> None:
+        self._stream, self._total, self._unit, self._name = stream, total, plural(unit, total), f"{description:<12}"
+        self._start = self._told = time.perf_counter()
+        self._said = ""
+        self.done = 0
+
+    def advance(self, count: int, text: str) -> None:
+        self.done, self._said = self.done + count, text or self._said
+        now = time.perf_counter()
+        if now - self._told >= ALIVE_SECONDS and self.done < self._total:
+            self._told = now
+            self._print(f"{100 * self.done // self._total} % after {now - self._start:.0f} s")
+
+    def end(self, done: str) -> None:
+        seconds = f"{time.perf_counter() - self._start:.1f} s"
+        self._print(f"{done} {self._unit} in {seconds}" if self._unit else seconds)
+
+    def _print(self, text: str) -> None:
+        print(f"{self._name} {text}{', ' if self._said else ''}{self._said}", file=self._stream, flush=True)

@@ -1,8 +1,9 @@
 """A capture: the photographs of one scene and what is known about them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
+import torch
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
@@ -19,7 +20,9 @@ class Capture:
     names and paths of m images; down_in_cam (m, 3) unit vectors with an expected error of down_sigma radians, which
     mean nothing unless has_gravity (they are the optical axes then, and down_sigma is infinite);
     height (m) above the water in length_unit where has_height (m) says that it was measured; index_ratio is
-    n_water / n_air. folder: where the capture was read from; truth, if any, lies beside it.
+    n_water / n_air. heading (m): compass heading of the image's top after levelling, radians clockwise from north
+    (world +y), with an error of degrees; it means nothing unless has_heading, and reports alone look at it. folder:
+    where the capture was read from; truth, if any, lies beside it.
     """
 
     folder: Path
@@ -33,6 +36,8 @@ class Capture:
     has_height: Tensor
     length_unit: str
     has_gravity: bool = True
+    heading: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
+    has_heading: bool = False
 
     def __len__(self) -> int:
         return len(self.names)

@@ -21,8 +21,9 @@ def load_capture(folder: str | Path) -> Capture:
     """Read `folder`/capture.json; the images lie in `folder`/images.
 
     Raises CaptureError with one sentence for anything that cannot be right: a missing or unreadable image, an image of
-    another size, a missing or mistyped field, gravity of some images only, gravity that is no unit vector, a camera
-    that looks at the sky, an index ratio below 1 or beyond any liquid, fewer than two images, a name given twice.
+    another size, a missing or mistyped field, gravity or headings of some images only, gravity that is no unit vector,
+    a camera that looks at the sky, an index ratio below 1 or beyond any liquid, fewer than two images, a name given
+    twice.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -31,7 +32,7 @@ def load_capture(folder: str | Path) -> Capture:
     top.only("format", "length_unit", "index_ratio", "pixel_origin", "intrinsics", "down_in_cam_sigma_deg", "images")
     if top.text("format") != FORMAT:
         raise top.fail("format", f"is {top.text('format')!r}, but must be {FORMAT!r}")
-    intrinsics = _intrinsics(top)
+    intrinsics = read_intrinsics(top)
     images = top.objects("images")
     if len(images) < 2:
         raise top.fail("images", f"lists {len(images)}, but a reconstruction needs at least 2")
@@ -40,13 +41,14 @@ def load_capture(folder: str | Path) -> Capture:
     for path in paths:
         _check_image(path, intrinsics)
     has_gravity = any("down_in_cam" in image for image in images)
+    has_heading = any("heading_deg" in image for image in images)
     heights = [_height(image) for image in images]
     return Capture(
         folder=folder,
         names=names,
         paths=paths,
         intrinsics=intrinsics,
-        index_ratio=_index_ratio(top),
+        index_ratio=read_index_ratio(top),
         down_in_cam=torch.tensor(
             [_gravity(image) if has_gravity else OPTICAL_AXIS for image in images], dtype=torch.float64
         ),
@@ -55,10 +57,13 @@ def load_capture(folder: str | Path) -> Capture:
         has_height=torch.tensor([height is not None for height in heights]),
         length_unit=top.text("length_unit"),
         has_gravity=has_gravity,
+        heading=torch.tensor([_heading(image) if has_heading else 0.0 for image in images], dtype=torch.float64),
+        has_heading=has_heading,
     )
 
 
-def _intrinsics(top: Fields) -> Intrinsics:
+def read_intrinsics(top: Fields) -> Intrinsics:
+    """The lens that capture.json describes."""
     fields = top.object("intrinsics")
     fields.only("width", "height", "fx", "fy", "cx", "cy", "distortion")
     origin = top.text("pixel_origin")
@@ -79,7 +84,8 @@ def _intrinsics(top: Fields) -> Intrinsics:
     )
 
 
-def _index_ratio(top: Fields) -> float:
+def read_index_ratio(top: Fields) -> float:
+    """The index ratio that capture.json or truth.json states."""
     ratio = top.number("index_ratio")
     if not 1.0 <= ratio <= MAX_INDEX_RATIO:
         raise top.fail(
@@ -91,7 +97,7 @@ def _index_ratio(top: Fields) -> float:
 def _names(images: list[Fields]) -> tuple[str, ...]:
     names: list[str] = []
     for image in images:
-        image.only("name", "down_in_cam", "height", "center_prior")
+        image.only("name", "down_in_cam", "height", "heading_deg", "center_prior")
         name = image.text("name")
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise image.fail("name", f"is {name!r}, but must name a file inside images/")
@@ -124,6 +130,15 @@ def _gravity(image: Fields) -> list[float]:
             f"is {down}, a camera that looks at the sky; with camera z forward its third component must be above 0",
         )
     return [x / norm for x in down]
+
+
+def _heading(image: Fields) -> float:
+    """In radians."""
+    if "heading_deg" not in image:
+        raise image.fail(
+            "heading_deg", f"of {image.text('name')} is missing, but others have it; give it for all images or for none"
+        )
+    return math.radians(image.number("heading_deg"))
 
 
 def _height(image: Fields) -> float | None:

@@ -14,14 +14,16 @@ class Assessment:
     """How well a reconstruction is determined, as standard deviations; None: nothing can be said.
 
     pixel_sigma: of a keypoint's coordinate, pixels, as estimated from the residuals. point_sigma (n) and center_sigma
-    (registered images): of a coordinate, in length_unit, relative to the cameras as a whole. index_ratio_sigma: None
-    where it was given. determined: sentences about water, lens and scale; held: what was to be refined, but is not
-    determined, and why.
+    (registered images): of a coordinate, in length_unit, relative to the cameras as a whole; center_covariance
+    (registered images, 3, 3): of the centres in world axes, length_unit squared. index_ratio_sigma: None where it was
+    given. determined: sentences about water, lens and scale; held: what was to be refined, but is not determined, and
+    why.
     """
 
     pixel_sigma: float | None = None
     point_sigma: Tensor | None = None
     center_sigma: Tensor | None = None
+    center_covariance: Tensor | None = None
     index_ratio_sigma: float | None = None
     determined: tuple[str, ...] = ()
     held: dict[str, str] = field(default_factory=dict)
@@ -64,3 +66,8 @@ class Reconstruction:
         """Pixels (N): distance of each observation from its projected point; inf where that is impossible."""
         projected, valid = self.cameras[self.image].project(self.points[self.point])
         return torch.where(valid, (projected - self.pixels).norm(dim=-1), torch.inf)
+
+
+def mean_deviation(covariance: Tensor) -> Tensor:
+    """Standard deviation (*B) of a coordinate, the root of the mean variance along an axis, of (*B, 3, 3)."""
+    return covariance.diagonal(dim1=-2, dim2=-1).mean(dim=-1).clamp(min=0.0).sqrt()

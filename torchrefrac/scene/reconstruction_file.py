@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,24 +11,29 @@ from torch import Tensor
 from torchrefrac.camera import Intrinsics
 from torchrefrac.scene.atomic import replacing
 from torchrefrac.scene.ply import write_vertices
-from torchrefrac.scene.reconstruction import Reconstruction
+from torchrefrac.scene.reconstruction import Assessment, Reconstruction, mean_deviation
 
 FORMAT = "torchrefrac-cameras/1"
 
 
 def write_cameras(reconstruction: Reconstruction, path: Path) -> None:
-    """Write poses, intrinsics and index ratio; the frame and the convention of pixels are those of the package."""
+    """Write poses, intrinsics, index ratio and, where it is known, the covariance (3, 3) of each registered image's
+    centre, in squares of the length unit; the frame and the convention of pixels are those of the package."""
     focal, principal, intrinsics = (
         reconstruction.intrinsics.focal.tolist(),
         reconstruction.intrinsics.principal_point.tolist(),
         reconstruction.intrinsics,
     )
+    covariance = reconstruction.assessment.center_covariance
+    spread = iter([] if covariance is None else covariance.tolist())
     images = []
     for i, name in enumerate(reconstruction.names):
         entry: dict[str, object] = {"name": name, "registered": bool(reconstruction.registered[i])}
         if entry["registered"]:
             entry["cam_from_world_rotation"] = reconstruction.rotation[i].tolist()
             entry["center_in_world"] = reconstruction.center[i].tolist()
+            if covariance is not None:
+                entry["center_covariance"] = next(spread)
         else:
             entry["reason"] = reconstruction.failures.get(name, "")
         images.append(entry)
@@ -52,7 +58,7 @@ def write_cameras(reconstruction: Reconstruction, path: Path) -> None:
 
 
 def load_cameras(path: Path) -> Reconstruction:
-    """Read `cameras.json` back; the reconstruction has no points."""
+    """Read `cameras.json` back; the reconstruction has no points, and of its assessment only that of the centres."""
     content = json.loads(path.read_text(encoding="utf-8"))
     lens = content["intrinsics"]
     images = content["images"]
@@ -80,7 +86,16 @@ def load_cameras(path: Path) -> Reconstruction:
         point=empty,
         pixels=torch.zeros(0, 2, dtype=torch.float64),
         failures={image["name"]: image.get("reason", "") for image in images if not image["registered"]},
+        assessment=_assessment([image for image in images if image["registered"]]),
     )
+
+
+def _assessment(placed: list[dict[str, Any]]) -> Assessment:
+    """Of the centres of registered images, where the file tells of all of them."""
+    if not placed or not all("center_covariance" in image for image in placed):
+        return Assessment()
+    covariance = torch.tensor([image["center_covariance"] for image in placed], dtype=torch.float64)
+    return Assessment(center_sigma=mean_deviation(covariance), center_covariance=covariance)
 
 
 def write_points(points: Tensor, colors: Tensor, path: Path, sigma: Tensor | None = None) -> None:

@@ -1,4 +1,4 @@
-"""`truth.json`: where a scene was made, the true cameras and planes. For evaluation only."""
+"""`truth.json`: where a scene was made, the true cameras, planes and surface. For evaluation only."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,7 +6,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchrefrac.scene.fields import read_json
+from torchrefrac.camera import Intrinsics
+from torchrefrac.scene.capture_file import read_index_ratio, read_intrinsics
+from torchrefrac.scene.fields import Fields, read_json
+from torchrefrac.scene.synthetic.surfaces import TriangleMesh
 
 
 @dataclass(frozen=True)
@@ -14,7 +17,9 @@ class Truth:
     """names and poses of the true cameras; planes as rectangles.
 
     rotation (m, 3, 3), center (m, 3); corner, edge1, edge2 (k, 3): a plane is corner + s edge1 + t edge2 with
-    s and t from 0 to 1.
+    s and t from 0 to 1. The water surface, where there is one, is z = 0; index_ratio is n_water / n_air, intrinsics the
+    lens of all photographs, None where it is not known. surface: all that cameras see, the planes among it, as
+    triangles; None: there are only the planes.
     """
 
     names: tuple[str, ...]
@@ -24,6 +29,9 @@ class Truth:
     edge1: Tensor
     edge2: Tensor
     length_unit: str
+    index_ratio: float | None = None
+    intrinsics: Intrinsics | None = None
+    surface: TriangleMesh | None = None
 
     @property
     def normal(self) -> Tensor:
@@ -32,13 +40,20 @@ class Truth:
 
 
 def load_truth(folder: Path) -> Truth | None:
-    """Read `folder`/truth.json; None where there is none."""
+    """Read `folder`/truth.json; None where there is none.
+
+    The index ratio is that of truth.json, or else, as the lens always, that of the capture.json beside it, if there is
+    one. `surface` names a file of triangles beside it that trimesh can read. Raises CaptureError where a file is
+    damaged, or the one of the surface is missing.
+    """
     path = folder / "truth.json"
     if not path.is_file():
         return None
     top = read_json(path)
     images = top.objects("images")
     planes = top.objects("planes") if "planes" in top else []
+    capture = read_json(folder / "capture.json") if (folder / "capture.json").is_file() else None
+    ratio_from = top if "index_ratio" in top else capture
 
     def table(rows: list[list[float]]) -> Tensor:
         return torch.tensor(rows, dtype=torch.float64).reshape(-1, 3)
@@ -51,4 +66,28 @@ def load_truth(folder: Path) -> Truth | None:
         edge1=table([plane.numbers("e1", 3) for plane in planes]),
         edge2=table([plane.numbers("e2", 3) for plane in planes]),
         length_unit=top.text("length_unit"),
+        index_ratio=None if ratio_from is None else read_index_ratio(ratio_from),
+        intrinsics=None if capture is None else read_intrinsics(capture),
+        surface=_read_surface(top, folder) if "surface" in top else None,
     )
+
+
+def _read_surface(top: Fields, folder: Path) -> TriangleMesh:
+    import trimesh  # noqa: PLC0415 - slow to import, needed only where there is a mesh
+
+    name = top.text("surface")
+    path = folder / name
+    if Path(name).name != name or not path.is_file():
+        raise top.fail("surface", f"is {name!r}, but must name a file of triangles beside truth.json")
+    try:
+        mesh = trimesh.load(path, process=False)
+    except (OSError, ValueError, KeyError, IndexError, TypeError, EOFError, NotImplementedError) as error:
+        raise top.fail("surface", f"is {name!r}, which cannot be read: {error}") from None
+    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+        raise top.fail("surface", f"is {name!r}, which holds no triangles")
+    vertices, faces = torch.tensor(mesh.vertices, dtype=torch.float64), torch.tensor(mesh.faces, dtype=torch.long)
+    if not bool(vertices.isfinite().all()):
+        raise top.fail("surface", f"is {name!r}, which has vertices that are not finite")
+    if int(faces.min()) < 0 or int(faces.max()) >= len(vertices):
+        raise top.fail("surface", f"is {name!r}, which has triangles of vertices that it lacks")
+    return TriangleMesh(vertices, faces)

@@ -18,9 +18,33 @@ from torchrefrac.bundle import (
     adjust,
 )
 from torchrefrac.bundle.layout import Layout
+from torchrefrac.recorder import Advance
 from torchrefrac.scene import Assessment, Capture
 from torchrefrac.sfm.assessment import assess
 from torchrefrac.sfm.model import SparseModel
+
+Heard = Callable[[int, float, float], None]
+
+
+class Steps:
+    """Hears of the steps of one adjustment, passes them on, and moves a meter, in which it takes up `most` steps."""
+
+    def __init__(self, heard: Heard, most: int, advance: Advance) -> None:
+        self._heard, self._left, self._advance = heard, most, advance
+        self._last = 0
+
+    def __call__(self, iteration: int, cost: float, damping: float) -> None:
+        self._heard(iteration, cost, damping)
+        self._move(iteration - self._last, f"cost {cost:.4g}")
+        self._last = iteration
+
+    def end(self) -> None:
+        """There will be no more steps, however many there were."""
+        self._move(self._left, "")
+
+    def _move(self, count: int, text: str) -> None:
+        self._left -= count
+        self._advance(count, text)
 
 
 @dataclass(frozen=True)
@@ -60,7 +84,7 @@ def adjust_model(
     model: SparseModel,
     capture: Capture,
     options: BundleOptions,
-    callback: Callable[[int, float], None] | None = None,
+    callback: Heard | None = None,
 ) -> tuple[SparseModel, BundleReport]:
     """Adjust all registered cameras and all points, and whatever else `options.refine` names."""
     part = _Part.of(model, capture)

@@ -3,6 +3,7 @@
 from torchrefrac.bundle import BundleProblem, BundleState, determinations, uncertainty
 from torchrefrac.optim import SingularError
 from torchrefrac.scene import Assessment
+from torchrefrac.scene.reconstruction import mean_deviation
 
 
 def assess(
@@ -17,10 +18,12 @@ def assess(
         told = determinations(problem, state, known.pixel_sigma) if float(state.index_ratio) > 1.0 else []
     except SingularError:
         return Assessment(held=held)
+    centers = known.pose[:, 3:, 3:]
     return Assessment(
         pixel_sigma=known.pixel_sigma,
         point_sigma=known.point_sigma[:num_points],
-        center_sigma=known.pose[:, 3:, 3:].diagonal(dim1=1, dim2=2).mean(dim=-1).clamp(min=0.0).sqrt(),
+        center_sigma=mean_deviation(centers),
+        center_covariance=centers,
         index_ratio_sigma=float(known.index_ratio) if "index_ratio" in problem.layout.water else None,
         determined=tuple(d.sentence for d in told),
         held=held,

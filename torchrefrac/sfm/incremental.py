@@ -6,10 +6,11 @@ from itertools import count
 
 import torch
 
+from torchrefrac.bundle import BundleReport
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, Reconstruction, Tracks
-from torchrefrac.sfm.adjustment import adjust_model, assess_model
+from torchrefrac.sfm.adjustment import Steps, adjust_model, assess_model
 from torchrefrac.sfm.filtering import affordable_length, drop_unsupported_images, filter_points
 from torchrefrac.sfm.frame import fix_frame
 from torchrefrac.sfm.initial_pair import rank_initial_pairs, start_from_pair
@@ -21,6 +22,7 @@ from torchrefrac.sfm.triangulation import triangulate_tracks
 from torchrefrac.sfm.verification import VerifiedPair
 
 MIN_INITIAL_POINTS = 12
+MOST_SHOWN = 10_000  # points of a cloud that is still growing
 GROWING = LevenbergMarquardtOptions(max_iterations=10, function_tolerance=1e-4)
 
 
@@ -48,8 +50,11 @@ def reconstruct_sparse(
     for grown in recorder.track(growth.register_all(model), remaining, "registering", "image"):
         model = grown
     model = growth.finish(model)
-    model = fix_frame(model, capture)
-    assessment = assess_model(model, capture, options.bundle, growth.held)
+    with recorder.meter(1, "assessing", "") as advance:
+        model = fix_frame(model, capture)
+        growth.show(model)
+        assessment = assess_model(model, capture, options.bundle, growth.held)
+        advance(1, "")
     return replace(_to_reconstruction(model, capture, growth.failures), assessment=assessment)
 
 
@@ -72,7 +77,7 @@ class _Growth:
         self.failures: dict[str, str] = {}
         self.held: dict[str, str] = {}
         self._refused: dict[int, int] = {}  # images that could not be registered, and the points they saw then
-        self._iterations = count()
+        self._iterations, self._adjustments = count(), count()
 
     def start(self, pairs: Sequence[VerifiedPair], tracks: Tracks) -> SparseModel:
         for pair in rank_initial_pairs(pairs, self.options):
@@ -101,11 +106,16 @@ class _Growth:
                 return
             number_seen = int(seen[best])
             model, reason = register_image(model, best, self.initializer, self.options, self.generator)
+            name = self.capture.names[best]
             if reason:
                 self._refused[best] = number_seen
-                self.failures[self.capture.names[best]] = reason
+                self.failures[name] = reason
+                self.recorder.detail(f"{name} is not registered: {reason}")
                 continue
-            self.failures.pop(self.capture.names[best], None)
+            self.failures.pop(name, None)
+            agreeing = int((model.active & (model.tracks.image == best)).sum())
+            self.recorder.scalar("registration/inliers", agreeing, model.num_registered)
+            self.recorder.scalar("registration/inlier_ratio", agreeing / number_seen, model.num_registered)
             model = triangulate_tracks(model, self.options)
             if model.num_registered >= adjusted_at * self.options.global_growth:
                 model = self.adjust(model, GROWING)
@@ -117,17 +127,22 @@ class _Growth:
     def adjust(self, model: SparseModel, solver: LevenbergMarquardtOptions) -> SparseModel:
         """Adjust, drop what no longer fits, and take in what now does."""
         bundle = replace(self.options.bundle, solver=solver)
-        model, _ = adjust_model(model, self.capture, bundle, self._record_cost)
+        model, report = adjust_model(model, self.capture, bundle, self._record_step)
+        self._record_adjustment(model, report)
         return triangulate_tracks(self._filter(model), self.options)
 
     def finish(self, model: SparseModel) -> SparseModel:
         """Adjust to convergence, with only the points that enough images see."""
         min_length = affordable_length(model, self.options)
-        rounds = range(self.options.final_rounds)
-        for _ in self.recorder.track(rounds, len(rounds), "adjusting", "round"):
-            model = self._filter(triangulate_tracks(model, self.options), min_length)
-            model, report = adjust_model(model, self.capture, self.options.bundle, self._record_cost)
-            self.held = report.held
+        most = self.options.bundle.solver.max_iterations
+        with self.recorder.meter(self.options.final_rounds * most, "adjusting", "") as advance:
+            for _ in range(self.options.final_rounds):
+                model = self._filter(triangulate_tracks(model, self.options), min_length)
+                heard = Steps(self._record_step, most, advance)
+                model, report = adjust_model(model, self.capture, self.options.bundle, heard)
+                heard.end()
+                self._record_adjustment(model, report)
+                self.held = report.held
         return self._filter(model, min_length)
 
     def _filter(self, model: SparseModel, min_length: int = 2) -> SparseModel:
@@ -140,8 +155,25 @@ class _Growth:
             self._refused[image] = int(visible_points(model)[image])
         return model
 
-    def _record_cost(self, iteration: int, cost: float) -> None:
-        self.recorder.scalar("adjustment/cost", cost, next(self._iterations))
+    def _record_step(self, iteration: int, cost: float, damping: float) -> None:
+        step = next(self._iterations)
+        self.recorder.scalar("adjustment/cost", cost, step)
+        self.recorder.scalar("adjustment/damping", damping, step)
+
+    def _record_adjustment(self, model: SparseModel, report: BundleReport) -> None:
+        """What an adjustment of everything has led to."""
+        self.recorder.detail(f"adjusted {model.num_registered} images: {report.summary()}")
+        self.show(model, MOST_SHOWN)
+
+    def show(self, model: SparseModel, most: int | None = None) -> None:
+        """Residuals and points (of which at most this many), where anyone wants to see them."""
+        if not self.recorder.wants_pictures:
+            return
+        step, tracks = next(self._adjustments), model.tracks
+        self.recorder.histogram("residuals/px", model.errors()[model.active], step)
+        ids = torch.unique_consecutive(tracks.track[model.active])
+        ids = ids[:: 1 if most is None else max(-(-len(ids) // most), 1)]
+        self.recorder.cloud("sparse", model.points[ids], tracks.mean_colors()[ids], step)
 
 
 def _to_reconstruction(model: SparseModel, capture: Capture, failures: dict[str, str]) -> Reconstruction:

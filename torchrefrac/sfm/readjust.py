@@ -10,13 +10,15 @@ from torch import Tensor
 from torchrefrac.bundle import BundleOptions, BundleReport, UnadjustableError, adjust, check_inputs
 from torchrefrac.checks import require
 from torchrefrac.optim import LevenbergMarquardtOptions
-from torchrefrac.recorder import Recorder, SilentRecorder
+from torchrefrac.recorder import Advance, Recorder, SilentRecorder
 from torchrefrac.scene import Alignment, Survey, Water
+from torchrefrac.sfm.adjustment import Steps
 from torchrefrac.sfm.block import Block
 from torchrefrac.sfm.filtering import MIN_OBSERVATIONS
 from torchrefrac.sfm.marks import check_vertical, known_marks, survey_terms, with_marks
 from torchrefrac.sfm.readjusted import Readjusted
 
+MOST_SHOWN = 50_000  # points of a cloud for the recorder
 GENEROUS = 3.0  # what an error may be, in medians of all, while poses may still be far off
 FIRST = ("plane_tilt", "plane_height")  # may vary at once; lenses and index ratio would take up the errors of the poses
 
@@ -59,9 +61,14 @@ def readjust(
     points connect, at the start or among what fits; SurveyError where gravity is measured and z does not point up.
     """
     work = Work(alignment, survey or Survey.empty(alignment.names), options or ReadjustOptions(), recorder)
-    start = work.start(water)
+    with work.recorder.meter(1, "placing", "") as advance:
+        start = work.start(water)
+        advance(1, "")
     block, report = work.adjust_all(start)
-    return Readjusted.of(alignment, work.survey, start, block, report)
+    with work.recorder.meter(1, "assessing", "") as advance:
+        result = Readjusted.of(alignment, work.survey, start, block, report)
+        advance(1, "")
+    return result
 
 
 class Work:
@@ -75,7 +82,7 @@ class Work:
         check_vertical(alignment, survey)
         self.alignment, self.survey, self.options = alignment, survey, options
         self.recorder = recorder or SilentRecorder()
-        self._iterations = count()
+        self._iterations, self._adjustments = count(), count()
 
     @property
     def ties(self) -> int:
@@ -100,15 +107,20 @@ class Work:
         """The first adjustment, and all rounds after it."""
         options = self.options
         self._tell_dry(block)
-        block, report = self.adjust(block, self.first(block))
-        support = 0 if options.held == "cameras" else MIN_OBSERVATIONS
-        for i in self.recorder.track(range(options.rounds), options.rounds, "adjusting", "round"):
-            before, limit = block, options.max_error if i == options.rounds - 1 else self._generous(block)
-            anew = block.doubtful(limit)
-            anew[self.ties :] &= ~block.placed[self.ties :]  # a mark is where measurements have it
-            block = block.with_places(anew, options.bundle.pixel_sigma, options.max_error, limit).within(limit, support)
-            if i == 0 or report.status != "converged" or not block.same_parts_as(before):
-                block, report = self.adjust(block, options.bundle)
+        most = options.bundle.solver.max_iterations
+        with self.recorder.meter((1 + options.rounds) * most, "adjusting", "") as advance:
+            block, report = self.adjust(block, self.first(block), advance)
+            support = 0 if options.held == "cameras" else MIN_OBSERVATIONS
+            for i in range(options.rounds):
+                before, limit = block, options.max_error if i == options.rounds - 1 else self._generous(block)
+                anew = block.doubtful(limit)
+                anew[self.ties :] &= ~block.placed[self.ties :]  # a mark is where measurements have it
+                block = block.with_places(anew, options.bundle.pixel_sigma, options.max_error, limit)
+                block = block.within(limit, support)
+                if i == 0 or report.status != "converged" or not block.same_parts_as(before):
+                    block, report = self.adjust(block, options.bundle, advance)
+                else:
+                    advance(most, "")
         return block, report
 
     def first(self, block: Block) -> BundleOptions:
@@ -116,9 +128,10 @@ class Work:
         refine = tuple(name for name in self.options.bundle.refine if name in FIRST)
         return replace(self.options.bundle, loss="cauchy", loss_scale=self._generous(block), refine=refine)
 
-    def adjust(self, block: Block, bundle: BundleOptions) -> tuple[Block, BundleReport]:
-        """All that takes part."""
+    def adjust(self, block: Block, bundle: BundleOptions, advance: Advance | None = None) -> tuple[Block, BundleReport]:
+        """All that takes part. `advance` moves a meter, in all by the number of iterations that there may be."""
         self._check(block)
+        heard = Steps(self._record_step, bundle.solver.max_iterations, advance or (lambda count, text: None))
         selection = block.select()
         image, mark = _slots(block.images, selection.image), _slots(block.placed, selection.point)[self.ties :]
         report = adjust(
@@ -129,9 +142,29 @@ class Work:
             terms=survey_terms(self.survey, image, mark, block.links.plane),
             held=self._held(len(selection.image)),
             check=False,
-            callback=lambda _, cost: self.recorder.scalar("adjustment/cost", cost, next(self._iterations)),
+            callback=heard,
         )
-        return block.with_state(report.state, selection), report
+        heard.end()
+        block = block.with_state(report.state, selection)
+        self._record(block, report)
+        return block, report
+
+    def _record_step(self, iteration: int, cost: float, damping: float) -> None:
+        step = next(self._iterations)
+        self.recorder.scalar("adjustment/cost", cost, step)
+        self.recorder.scalar("adjustment/damping", damping, step)
+
+    def _record(self, block: Block, report: BundleReport) -> None:
+        """What an adjustment has led to."""
+        self.recorder.detail(f"adjusted {int(block.images.sum())} images: {report.summary()}")
+        step, ties = next(self._adjustments), block.placed[: self.ties].nonzero()[:, 0]
+        self.recorder.scalar("adjustment/images", int(block.images.sum()), step)
+        self.recorder.scalar("adjustment/points", len(ties), step)
+        if not self.recorder.wants_pictures:
+            return
+        self.recorder.histogram("residuals/px", block.errors()[block.active], step)
+        ties = ties[:: max(-(-len(ties) // MOST_SHOWN), 1)]
+        self.recorder.cloud("points", block.state.points[ties], self.alignment.colors[ties], step)
 
     def _check(self, block: Block) -> None:
         """Refuse what cannot be adjusted. A mark that a single image sees does no harm, but ties nothing."""

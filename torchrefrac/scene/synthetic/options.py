@@ -1,7 +1,8 @@
 """What decides how a made scene is photographed. What decides the scene itself stands with each scene."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 from torchrefrac.checks import require
 from torchrefrac.scene.capture_file import MAX_INDEX_RATIO
@@ -113,6 +114,10 @@ class SyntheticOptions:
     def label(self) -> str:
         """What reports call the scene."""
         return self.name
+
+    def fingerprint(self) -> dict[str, Any]:
+        """What decides the photographs, as plain values: all options, and the kind of scene."""
+        return {"scene": type(self).__name__, **asdict(self)}
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.index_ratio <= MAX_INDEX_RATIO:

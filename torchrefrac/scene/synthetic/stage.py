@@ -17,8 +17,11 @@ class SceneError(CaptureError):
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A surface with a name and its colours: `texture` maps texture coordinates (N, 2), float64, to RGB (N, 3) from 0 to
-    255, float32. is_plane: whether the paper's flatness can be measured on it."""
+    """A surface with a name and its colours.
+
+    `texture` maps texture coordinates (N, 2), float64, to RGB (N, 3) from 0 to 255, float32. is_plane: whether the
+    paper's flatness can be measured on it.
+    """
 
     name: str
     surface: Surface

@@ -1,13 +1,17 @@
-"""Surfaces that a ray may meet, and the first one that it does meet. All in the world frame, in length units."""
+"""Surfaces that a ray may meet, and the first one that it does meet. All in the world frame, in length units.
+
+Vectors (N, 3) may lie in memory in any way; fastest are those that lie component by component, as `by_component` puts
+them, and so are results.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
-import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 NEAREST = 1e-9  # of a hit, times the ray's length unit: a ray that starts on a surface does not meet it there
 
@@ -41,15 +45,20 @@ class Rectangle:
     edge1: Tensor
     edge2: Tensor
 
+    @cached_property
+    def frame(self) -> Tensor:
+        """Rows (3, 3): the unit normal, and what maps an offset from the corner to u and to v."""
+        normal = normalize(torch.linalg.cross(self.edge1, self.edge2), dim=-1)
+        return torch.cat((normal[None], torch.linalg.pinv(torch.stack((self.edge1, self.edge2), dim=-1))))
+
     def intersect(self, origins: Tensor, directions: Tensor) -> Meeting:
-        normal = torch.nn.functional.normalize(torch.linalg.cross(self.edge1, self.edge2), dim=-1)
-        slope = directions @ normal
-        length = ((self.corner - origins) @ normal) / torch.where(slope == 0.0, 1.0, slope)
-        offset = origins + length[:, None] * directions - self.corner
-        axes = torch.stack((self.edge1, self.edge2), dim=-1)
-        uv = offset @ torch.linalg.pinv(axes).mT
-        inside = ((uv >= 0.0) & (uv <= 1.0)).all(dim=-1) & (slope != 0.0) & (length > NEAREST)
-        return Meeting(torch.where(inside, length, torch.inf), uv, normal.expand_as(origins))
+        height, u, v = self.frame @ (origins - self.corner).mT
+        slope, du, dv = self.frame @ directions.mT
+        length = -height / torch.where(slope == 0.0, 1.0, slope)
+        u, v = u + length * du, v + length * dv
+        inside = (u >= 0.0) & (u <= 1.0) & (v >= 0.0) & (v <= 1.0) & (slope != 0.0) & (length > NEAREST)
+        normal = self.frame[0][:, None].expand(3, len(u)).mT
+        return Meeting(torch.where(inside, length, torch.inf), torch.stack((u, v)).mT, normal)
 
     def triangles(self) -> tuple[Tensor, Tensor]:
         a, b, c = self.corner, self.edge1, self.edge2
@@ -73,13 +82,13 @@ class Cylinder:
     @cached_property
     def frame(self) -> Tensor:
         """Rows (3, 3): two unit vectors across, one along the axis."""
-        along = torch.nn.functional.normalize(self.axis, dim=-1)
+        along = normalize(self.axis, dim=-1)
         helper = torch.eye(3, dtype=along.dtype)[along.abs().argmin()]
-        first = torch.nn.functional.normalize(torch.linalg.cross(helper, along), dim=-1)
+        first = normalize(torch.linalg.cross(helper, along), dim=-1)
         return torch.stack((first, torch.linalg.cross(along, first), along))
 
     def intersect(self, origins: Tensor, directions: Tensor) -> Meeting:
-        start, way = (origins - self.base) @ self.frame.mT, directions @ self.frame.mT
+        start, way = (self.frame @ (origins - self.base).mT).mT, (self.frame @ directions.mT).mT
         height = float(self.axis.norm())
         length, normal, uv = self._side(start, way, height)
         for level, shift in ((0.0, 1.0), (height, 2.0)):
@@ -89,7 +98,7 @@ class Cylinder:
             length = torch.where(nearer, reach, length)
             uv = torch.where(nearer[:, None], 0.5 * (disc + 1.0) + torch.tensor((shift, 0.0), dtype=uv.dtype), uv)
             normal = torch.where(nearer[:, None], torch.tensor((0.0, 0.0, 1.0), dtype=uv.dtype), normal)
-        return Meeting(length, uv, normal @ self.frame)
+        return Meeting(length, uv, (self.frame.mT @ normal.mT).mT)
 
     def _side(self, start: Tensor, way: Tensor, height: float) -> tuple[Tensor, Tensor, Tensor]:
         """The nearest of at most two crossings of the infinite cylinder that lies between the ends."""
@@ -105,7 +114,7 @@ class Cylinder:
             length = torch.where(meets & (reach > NEAREST) & (level >= 0.0) & (level <= height), reach, length)
         place = start + torch.where(length.isfinite(), length, 0.0)[:, None] * way
         around = torch.atan2(place[:, 1], place[:, 0]) / (2.0 * torch.pi)
-        uv = torch.stack((around.remainder(1.0), place[:, 2] / height), dim=-1)
+        uv = torch.stack((around.remainder(1.0), place[:, 2] / height)).mT
         return length, place * torch.tensor((1.0, 1.0, 0.0), dtype=place.dtype) / self.radius, uv
 
     def triangles(self) -> tuple[Tensor, Tensor]:
@@ -134,36 +143,55 @@ class TriangleMesh:
     uv: Tensor | None = None
 
     @cached_property
-    def _mesh(self) -> "object":
-        import trimesh  # noqa: PLC0415 - slow to import
+    def _finder(self) -> tuple[Any, Tensor, float]:
+        """The mesh as Embree has it, and the origin (3) and scale of its coordinates, which single precision suits."""
+        from embreex.mesh_construction import TriangleMesh as EmbreeMesh  # noqa: PLC0415 - needed only here
+        from embreex.rtcore_scene import EmbreeScene  # noqa: PLC0415 - needed only here
 
-        return trimesh.Trimesh(self.vertices.numpy(), self.faces.numpy(), process=False, validate=False)
+        low, high = self.vertices.amin(dim=0), self.vertices.amax(dim=0)
+        scale = 100.0 / max(float((high - low).max()), torch.finfo(torch.float64).tiny)
+        scene = EmbreeScene()
+        vertices = (scale * (self.vertices - low)).float().contiguous().numpy()
+        EmbreeMesh(scene, vertices=vertices, indices=self.faces.int().contiguous().numpy())
+        return scene, low, scale
 
     @cached_property
-    def _planes(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Of each face: a corner, the unit normal, and the map from an offset to barycentric coordinates (f, 2, 3)."""
-        a, b, c = self.vertices[self.faces].unbind(dim=1)
+    def _planes(self) -> Tensor:
+        """Of each face (f, 12): unit normal n and offset n . x, then gradient and value at the world's origin of u and
+        of v."""
+        corners = self.vertices[self.faces]
+        a, b, c = corners.unbind(dim=1)
         first, second = b - a, c - a
-        normal = torch.linalg.cross(first, second)
-        area = normal.square().sum(dim=-1, keepdim=True)
-        area = torch.where(area > 0.0, area, 1.0)
-        to_weights = torch.stack((torch.linalg.cross(second, normal), torch.linalg.cross(normal, first)), dim=1)
-        return a, normal / area.sqrt(), to_weights / area[..., None]
+        across = torch.linalg.cross(first, second)
+        area = across.square().sum(dim=-1, keepdim=True)
+        normal = across / torch.where(area > 0.0, area, 1.0).sqrt()
+        across = across / torch.where(area > 0.0, area, 1.0)
+        weights = torch.stack((torch.linalg.cross(second, across), torch.linalg.cross(across, first)), dim=1)
+        own = (self.vertices[:, :2] if self.uv is None else self.uv)[self.faces]
+        gradient = (own[:, 1:] - own[:, :1]).mT @ weights
+        value = own[:, 0] - (gradient @ a[..., None])[..., 0]
+        rows = (
+            normal,
+            (normal * a).sum(dim=-1, keepdim=True),
+            gradient[:, 0],
+            value[:, :1],
+            gradient[:, 1],
+            value[:, 1:],
+        )
+        return torch.cat(rows, dim=-1)
 
     def intersect(self, origins: Tensor, directions: Tensor) -> Meeting:
-        face = torch.from_numpy(np.asarray(self._mesh.ray.intersects_first(origins.numpy(), directions.numpy())))  # type: ignore[attr-defined]
-        met = face >= 0
-        face = face.clamp(min=0).long()
-        corner, normal, to_weights = (table[face] for table in self._planes)
-        slope = (directions * normal).sum(dim=-1)
-        length = ((corner - origins) * normal).sum(dim=-1) / torch.where(slope == 0.0, 1.0, slope)
-        offset = origins + length[:, None] * directions - corner
-        second, third = torch.einsum("nij,nj->ni", to_weights, offset).unbind(dim=-1)
-        own = self.vertices[:, :2] if self.uv is None else self.uv
-        weights = torch.stack((1.0 - second - third, second, third), dim=-1)
-        uv = (weights[..., None] * own[self.faces[face]]).sum(dim=1)
-        met = met & (slope != 0.0) & (length > NEAREST)
-        return Meeting(torch.where(met, length, torch.inf), uv, normal)
+        scene, low, scale = self._finder
+        start, way = ((scale * (origins - low)).float().contiguous(), directions.float().contiguous())
+        face = torch.from_numpy(scene.run(start.numpy(), way.numpy()))
+        x, d = origins.mT, directions.mT
+        plane = self._planes.index_select(0, face.clamp(min=0)).mT.contiguous()
+        slope = _dot(plane[:3], d)
+        length = (plane[3] - _dot(plane[:3], x)) / torch.where(slope == 0.0, 1.0, slope)
+        met = (face >= 0) & (slope != 0.0) & (length > NEAREST)
+        point = x + length * d
+        uv = torch.stack((_dot(plane[4:7], point) + plane[7], _dot(plane[8:11], point) + plane[11]))
+        return Meeting(torch.where(met, length, torch.inf), uv.mT, plane[:3].mT)
 
     def triangles(self) -> tuple[Tensor, Tensor]:
         return self.vertices, self.faces
@@ -183,12 +211,14 @@ def nearest(surfaces: Sequence[Surface], origins: Tensor, directions: Tensor) ->
     best = Nearest(
         torch.full_like(origins[:, 0], torch.inf),
         torch.full(origins.shape[:1], -1),
-        torch.zeros_like(origins[:, :2]),
-        torch.zeros_like(origins),
+        origins.new_zeros(2, len(origins)).mT,
+        origins.new_zeros(3, len(origins)).mT,
     )
     for index, surface in enumerate(surfaces):
         met = surface.intersect(origins, directions)
         nearer = met.length < best.length
+        if not bool(nearer.any()):
+            continue
         best = Nearest(
             torch.where(nearer, met.length, best.length),
             torch.where(nearer, index, best.surface),
@@ -196,3 +226,13 @@ def nearest(surfaces: Sequence[Surface], origins: Tensor, directions: Tensor) ->
             torch.where(nearer[:, None], met.normal, best.normal),
         )
     return best
+
+
+def by_component(vectors: Tensor) -> Tensor:
+    """The same vectors (N, k), one component after the other in memory."""
+    return vectors.mT.contiguous().mT
+
+
+def _dot(a: Tensor, b: Tensor) -> Tensor:
+    """Of vectors that are columns (3, N)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

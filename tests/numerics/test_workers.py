@@ -5,7 +5,7 @@ import threading
 import pytest
 import torch
 
-from torchrefrac.dense.workers import side_by_side
+from torchrefrac.numerics.workers import side_by_side
 
 CPU = torch.device("cpu")
 

@@ -8,12 +8,13 @@ import torch
 
 S = TypeVar("S")
 T = TypeVar("T")
+CPU = torch.device("cpu")
 
 
-def side_by_side(function: Callable[[S], T], items: Sequence[S], device: torch.device) -> list[T]:
+def side_by_side(function: Callable[[S], T], items: Sequence[S], device: torch.device = CPU) -> list[T]:
     """`function` of each item, in order, on as many threads as PyTorch has, each with one of its own.
 
-    PyTorch splits an operation among its threads; on patches, whose operations are small, one batch a thread is nearly
+    PyTorch splits an operation among its threads; where operations are small, one batch a thread is nearly
     twice as fast with two threads. One after the other on a GPU, and where there is nothing to be shared out.
     """
     threads = torch.get_num_threads()

@@ -1,0 +1,1 @@
+"""How torchrefrac runs several jobs: a sweeper and launchers for Hydra."""

@@ -1,0 +1,125 @@
+"""The jobs of a sweep, as its folder remembers them in sweep.json, and how far each has got."""
+
+import json
+import os
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+MEMORY = "sweep.json"
+METRICS = "metrics.json"
+LEFT_OUT = ("out", "cache", "quiet", "report")  # say where a job is kept and what is told, not what it is
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run of a sweep.
+
+    folder: its name in the folder of the sweep, overrides: what its command line says, label: what of that differs
+    between the jobs. reason: why it failed, where it could leave no metrics.json.
+    """
+
+    folder: str
+    overrides: tuple[str, ...]
+    label: str
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a job's folder says of it; status is "missing" where it did not begin or ended without a word."""
+
+    status: str
+    reason: str = ""
+    metrics: dict[str, Any] | None = None
+
+
+def plan(overrides: Sequence[Sequence[str]], models: Sequence[str]) -> tuple[Job, ...]:
+    """Jobs with folders NUMBER_MODEL, numbered from 0 with as many digits as the last needs, so that they sort."""
+    told = [tuple(text for text in job if _key(text) not in LEFT_OUT) for job in overrides]
+    digits = len(str(len(told) - 1))
+    return tuple(
+        Job(f"{i:0{digits}}_{re.sub(r'[^A-Za-z0-9.+-]', '-', model)}", job, label)
+        for i, (job, model, label) in enumerate(zip(told, models, _labels(told), strict=True))
+    )
+
+
+def spread(overrides: Iterable[str]) -> dict[str, str]:
+    """The overrides of a job by their names, as metrics.json keeps them."""
+    pairs = (text.partition("=") for text in overrides)
+    return {key: value for key, _, value in pairs if key not in LEFT_OUT}
+
+
+def read_sweep(folder: Path) -> tuple[Job, ...] | None:
+    """The jobs that `folder` remembers; None where it holds no sweep.
+
+    Raises ValueError where sweep.json is damaged.
+    """
+    path = folder / MEMORY
+    if not path.is_file():
+        return None
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))["jobs"]
+        return tuple(Job(**entry | {"overrides": tuple(entry["overrides"])}) for entry in entries)
+    except (ValueError, KeyError, TypeError):
+        raise ValueError(f"{path} is damaged; delete it, or give another folder as out=DIR") from None
+
+
+def write_sweep(jobs: Sequence[Job], folder: Path) -> None:
+    """Write sweep.json, whole or not at all."""
+    path = folder / MEMORY
+    temporary = path.with_name(f".{MEMORY}.{os.getpid()}.partial")
+    try:
+        temporary.write_text(json.dumps({"jobs": [asdict(job) for job in jobs]}, indent=1) + "\n", encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def remembered(jobs: Sequence[Job], known: Sequence[Job]) -> tuple[Job, ...] | None:
+    """`jobs` in their own order, with the folders that `known` gave them; None where it holds other jobs."""
+    folders = {frozenset(job.overrides): job.folder for job in known}
+    if len(jobs) != len(known) or {frozenset(job.overrides) for job in jobs} != set(folders):
+        return None
+    return tuple(replace(job, folder=folders[frozenset(job.overrides)]) for job in jobs)
+
+
+def find_job(run: Path) -> tuple[int, int, Job] | None:
+    """Position (from 1) and number of the sweep's jobs, and the job, whose folder `run` is; None outside a sweep."""
+    jobs = read_sweep(run.parent) or ()
+    return next(((i + 1, len(jobs), job) for i, job in enumerate(jobs) if job.folder == run.name), None)
+
+
+def outcome(job: Job, folder: Path) -> Outcome:
+    """How the job ended, or that it has not."""
+    try:
+        metrics = json.loads((folder / job.folder / METRICS).read_text(encoding="utf-8"))
+        return Outcome(metrics["status"], " ".join(str(metrics.get("reason", "")).split()), metrics)
+    except (OSError, ValueError, KeyError, TypeError):
+        return Outcome("failed", job.reason) if job.reason else Outcome("missing")
+
+
+def ending(position: int, total: int, job: Job, ended: Outcome) -> str:
+    """One line on a job that has come to its end."""
+    line = f"{opening(position, total, job)}: {ended.status}"
+    if ended.reason:
+        return f"{line}: {ended.reason}"
+    seconds = (ended.metrics or {}).get("seconds_total")
+    return line if seconds is None else f"{line} in {seconds:.1f} s"
+
+
+def opening(position: int, total: int, job: Job) -> str:
+    """Which of the jobs it is, and what it does."""
+    return f"{position:>{len(str(total))}}/{total}  {job.label}"
+
+
+def _labels(jobs: Sequence[Sequence[str]]) -> list[str]:
+    """The overrides that not all jobs share; all of them for a job alone."""
+    common = set(jobs[0]).intersection(*jobs[1:]) if len(jobs) > 1 else set()
+    return [" ".join(text for text in job if text not in common) or "defaults" for job in jobs]
+
+
+def _key(override: str) -> str:
+    return override.partition("=")[0]

@@ -1,0 +1,36 @@
+"""The command line: Hydra composes the options, this package hands them to the pipeline. Nothing else imports Hydra."""
+
+import sys
+from collections.abc import Callable
+
+from hydra.core.utils import env_override
+
+from hydra_plugins.torchrefrac_sweeper.messages import COMPOSITION_ERRORS
+from torchrefrac.cli.commands import adjust, densify, reconstruct
+from torchrefrac.cli.composed import CONF, adjust_options, densify_options, run_options
+from torchrefrac.cli.failures import failed, tell
+from torchrefrac.cli.sweeps import CompareRuns
+
+INTERRUPTED = 130
+OTHERS: dict[str, Callable[[], None]] = {"adjust": adjust, "densify": densify}
+QUIET = ("-q", "--quiet")
+
+__all__ = ["CONF", "CompareRuns", "adjust_options", "densify_options", "main", "run_options"]
+
+
+def main() -> None:
+    """Run the command that is in sys.argv; exits with 1 where a job failed, 130 where it was interrupted."""
+    failed.clear()
+    program, *given = ("quiet=true" if argument in QUIET else argument for argument in sys.argv)
+    command = OTHERS.get(given[0]) if given else None
+    sys.argv = [program, *given] if command is None else [program, *given[1:]]  # what is left is Hydra's
+    try:
+        with env_override({"HYDRA_FULL_ERROR": "1"}):  # Hydra raises what it would else print in many lines
+            (command or reconstruct)()
+    except KeyboardInterrupt:
+        print("interrupted; the files of the finished stages are in the run folder", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    except (*COMPOSITION_ERRORS, OSError) as error:
+        tell(error)
+    if failed:
+        sys.exit(1)

@@ -1,0 +1,34 @@
+"""Where the configuration lies, and the typed options of what Hydra composed of it."""
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from torchrefrac.config import AdjustOptions, DensifyOptions, Options, OutputOptions, RunOptions, build, build_scene
+
+PACKAGED = Path(__file__).resolve().parent.parent / "conf"
+CONF = PACKAGED if PACKAGED.is_dir() else PACKAGED.parent.parent / "conf"
+
+
+def run_options(config: DictConfig) -> RunOptions:
+    """The typed options of a composed configuration."""
+    values = _plain(config)
+    output = {field.name: values.pop(field.name) for field in fields(OutputOptions)}
+    scene = build_scene(values.pop("scene"))
+    return RunOptions(scene, build(Options, values), build(OutputOptions, output))
+
+
+def adjust_options(config: DictConfig) -> AdjustOptions:
+    """The typed options of a composed configuration of `torchrefrac adjust`."""
+    return build(AdjustOptions, _plain(config))
+
+
+def densify_options(config: DictConfig) -> DensifyOptions:
+    """The typed options of a composed configuration of `torchrefrac densify`."""
+    return build(DensifyOptions, _plain(config))
+
+
+def _plain(config: DictConfig) -> Any:
+    return OmegaConf.to_container(config, resolve=True, throw_on_missing=True)

@@ -1,0 +1,83 @@
+"""What is said and written while a sweep runs, and when it has ended."""
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.experimental.callback import Callback
+from hydra.types import RunMode
+from omegaconf import DictConfig
+
+from hydra_plugins.torchrefrac_sweeper.ends import jobs_and_ends, resume_lines, unrecorded_lines
+from hydra_plugins.torchrefrac_sweeper.jobs import ending, find_job, opening, outcome
+from hydra_plugins.torchrefrac_sweeper.records import share_processors
+from torchrefrac.cli.commands import is_watched
+from torchrefrac.cli.failures import failed, keep_failure, tell
+from torchrefrac.recorder import SilentRecorder
+from torchrefrac.report.comparison import compare
+from torchrefrac.report.html import write_job_reports, write_sweep_report
+from torchrefrac.report.sweep import write_summary
+from torchrefrac.report.terminal import TerminalRecorder
+
+
+class CompareRuns(Callback):
+    """Follows a multirun, whatever it runs over, and compares its runs at the end.
+
+    The paper's Table 1 and Figure 1, also of dense surfaces, a summary of what was varied, and reports.
+    """
+
+    def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Say which job begins, or, where several run side by side, share the processors."""
+        if config.hydra.mode is not RunMode.MULTIRUN:
+            return
+        place = find_job(Path(config.hydra.runtime.output_dir))
+        if not is_watched(config.hydra):
+            share_processors()
+        elif place is not None and not config.quiet:
+            print(f"\n{opening(*place)}", file=sys.stderr)
+
+    def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
+        """Keep why a job failed, and tell it."""
+        if config.hydra.mode is not RunMode.MULTIRUN:
+            return
+        folder = Path(config.hydra.runtime.output_dir)
+        if job_return.status is JobStatus.FAILED:
+            reason = keep_failure(job_return._return_value, config, list(config.hydra.overrides.task), folder)
+            job_return.return_value = RuntimeError(reason)  # goes to the sweeper, maybe in another process
+            if is_watched(config.hydra):
+                print(f"error: {reason}", file=sys.stderr)
+        place = find_job(folder)
+        if place is not None and not is_watched(config.hydra) and not config.quiet:
+            print(ending(*place, outcome(place[2], folder.parent)), flush=True)
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Tell what failed, write and print the comparison, and say how to go on."""
+        folder = Path(config.hydra.sweep.dir)
+        jobs, ends = jobs_and_ends(folder)
+        rest = sum(end.status != "complete" for end in ends)
+        if rest:
+            failed.append(f"{rest} of {len(jobs)} jobs are not complete")
+        runs = [folder / job.folder for job, end in zip(jobs, ends, strict=True) if end.metrics is not None]
+        told = ["\n".join(unrecorded_lines(jobs, ends))]
+        if runs:
+            try:
+                told += _write(folder, runs, config)
+            except OSError as error:
+                tell(error, folder)
+        if rest:
+            told.append("\n".join(resume_lines(folder, sys.argv[1:])))
+        if rest or not config.quiet:
+            print("", *filter(None, told), sep="\n\n")
+
+
+def _write(folder: Path, runs: list[Path], config: DictConfig) -> list[str]:
+    """Everything that compares the runs; returns what to print of it."""
+    table = compare(runs, folder)
+    if config.report:
+        write_job_reports(runs, SilentRecorder() if config.quiet else TerminalRecorder())
+    said = write_summary(folder, runs, to_come=("report.html",) if config.report else ())
+    if config.report:
+        write_sweep_report(folder, runs)
+    return [said, table, f"the tables and figures are in {os.path.relpath(folder)}"]
