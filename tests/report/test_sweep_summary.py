@@ -337,7 +337,7 @@ def test_what_is_printed_says_failures_first_within_the_terminal(write_job, tmp_
     (runs[1] / "metrics.json").write_text(json.dumps(known | {"reason": long}))
     (runs[2] / "metrics.json").unlink()
 
-    text = write_summary(tmp_path, runs)
+    text = str(write_summary(tmp_path, runs))
 
     failed, listed, table = text.split("\n\n")
     assert failed == "2 of 3 jobs failed:"
@@ -351,7 +351,7 @@ def test_the_summary_links_to_what_lies_beside_it(write_job, tmp_path):
     for name in ("figure1.png", "figure1_of_another_sweep.png", "table1.md"):
         (tmp_path / name).touch()
 
-    text = write_summary(tmp_path, runs)
+    text = str(write_summary(tmp_path, runs))
 
     written = (tmp_path / "summary.md").read_text()
     assert written.startswith(text + "\n")
@@ -362,7 +362,7 @@ def test_the_summary_links_to_what_lies_beside_it(write_job, tmp_path):
 def test_failures_alone_have_no_picture_and_none_of_an_earlier_sweep(write_job, tmp_path):
     (tmp_path / "summary.png").touch()
 
-    text = write_summary(tmp_path, [write_job({"model": "none"}, "failed")])
+    text = str(write_summary(tmp_path, [write_job({"model": "none"}, "failed")]))
 
     assert text == "The job failed:\n\n- 0_none (tank, none): no pair"
     assert not (tmp_path / "summary.png").exists()

@@ -67,7 +67,7 @@ def reconstruct_into(folder: Path, options: RunOptions, settings: Any) -> None:
             print(f"{options.scene.label}: {len(capture)} images, model {model}, into {into}", file=sys.stderr)
         about = {"scene": options.scene.label, "overrides": overrides}
         metrics = run(capture, options.reconstruction, recorder, folder, about)
-        recorder.hparams(_compared(options, overrides), metrics)
+        recorder.hparams(_compared(options, capture, overrides), metrics)
     if not quiet:
         print(summary(reconstruction_lines(metrics)))
 
@@ -145,9 +145,16 @@ def _may_fail(folder: Path | None = None) -> Iterator[None]:
         tell(error, folder)
 
 
-def _compared(options: RunOptions, overrides: dict[str, str]) -> dict[str, Any]:
-    """What TensorBoard's table of runs compares."""
-    told = {"scene": options.scene.label, "model": options.reconstruction.model.name}
+def _compared(options: RunOptions, capture: Capture, overrides: dict[str, str]) -> dict[str, Any]:
+    """What TensorBoard's table of runs compares: the same of all runs, and what was said of this one."""
+    chosen = options.reconstruction
+    told = {
+        "scene": options.scene.label,
+        "model": chosen.model.name,
+        "water.index_ratio": chosen.water.ratio_of(capture.index_ratio),
+        "dense": chosen.dense.method,
+        "seed": chosen.seed,
+    }
     return told | {name: _number(value) for name, value in overrides.items() if name not in told}
 
 

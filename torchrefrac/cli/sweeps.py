@@ -80,4 +80,5 @@ def _write(folder: Path, runs: list[Path], config: DictConfig) -> list[str]:
     said = write_summary(folder, runs, to_come=("report.html",) if config.report else ())
     if config.report:
         write_sweep_report(folder, runs)
-    return [said, table, f"the tables and figures are in {os.path.relpath(folder)}"]
+    shown = (table or said.table) if said.table else ""  # without a complete job there is nothing to compare
+    return [said.failed, shown, f"the tables and figures are in {os.path.relpath(folder)}"]

@@ -118,9 +118,11 @@ def _told_apart(words: list[str], jobs: Sequence[Job]) -> list[str]:
 def _table(jobs: Sequence[Job], labels: Sequence[str]) -> str:
     """One line a run, in Markdown that reads well in a terminal too.
 
-    Camera RMS after alignment, median distance of the points from the true surface, median reprojection error.
+    Camera RMS after alignment, median distance of the points from their true places (where only the surface is known,
+    from that), median reprojection error.
     """
-    errors = {"camera RMS": "camera_rms", "off surface": "surface_median"} if unit_of(jobs, "camera_rms") else {}
+    points = ("3D error", "point_median") if unit_of(jobs, "point_median") else ("off surface", "surface_median")
+    errors = dict((("camera RMS", "camera_rms"), points)) if unit_of(jobs, "camera_rms") else {}
     header = ["model", *(in_header(title, jobs, stem) for title, stem in errors.items())]
     header += ["images", "points", "error (px)", "seconds"]
     rows = []

@@ -3,6 +3,7 @@
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from torchrefrac.report.sweep.figure import draw_sweep
 from torchrefrac.report.sweep.jobs import Design, Job, load_jobs, short_keys, what_varied
@@ -15,7 +16,17 @@ LINKS = {"summary.png": "errors over what was varied", "report.html": "all jobs 
 LINKS |= {"summary.csv": "every number of every job", "table1.md": "the paper's Table 1"}
 
 
-def write_summary(folder: Path, runs: Sequence[Path], to_come: Sequence[str] = ()) -> str:
+class Summary(NamedTuple):
+    """What to print of a sweep: the failed jobs with their reasons, and a table of the others; each may be empty."""
+
+    failed: str
+    table: str
+
+    def __str__(self) -> str:
+        return "\n\n".join(filter(None, self))
+
+
+def write_summary(folder: Path, runs: Sequence[Path], to_come: Sequence[str] = ()) -> Summary:
     """Write summary.csv, summary.md and summary.png of the run folders `runs` into `folder`; returns what to print.
 
     The text is at most 100 columns wide for usual sweeps: the failed jobs with their reasons, then a table of the
@@ -31,14 +42,13 @@ def write_summary(folder: Path, runs: Sequence[Path], to_come: Sequence[str] = (
     design = what_varied(jobs)
     if not draw_sweep(jobs, design, folder / "summary.png"):
         (folder / "summary.png").unlink(missing_ok=True)
-    failed, table = failed_jobs(jobs, design), results_table(jobs, design)
+    said = Summary(failed_jobs(jobs, design), results_table(jobs, design))
     with replacing(folder / "summary.csv") as temporary:
         temporary.write_text(csv_text(jobs, design), encoding="utf-8", newline="")
-    text = "\n\n".join(part for part in (failed, table) if part)
     links = _links(folder, jobs, design, to_come)
     with replacing(folder / "summary.md") as temporary:
-        temporary.write_text("\n\n".join(part for part in (text, links) if part) + "\n", encoding="utf-8")
-    return text
+        temporary.write_text("\n\n".join(filter(None, (*said, links))) + "\n", encoding="utf-8")
+    return said
 
 
 def failed_jobs(jobs: Sequence[Job], design: Design) -> str:
