@@ -9,10 +9,11 @@ import pytest
 import torch
 
 from torchrefrac.geometry import Similarity, so3_exp
+from torchrefrac.geometry.surfaces import Rectangle
+from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.report.dense_metrics import evaluate_dense, signed_plane_distance, textured_points
 from torchrefrac.scene import Truth, load_truth
 from torchrefrac.scene.dense import DenseCloud
-from torchrefrac.scene.synthetic.surfaces import Rectangle, TriangleMesh
 from torchrefrac.scene.truth_points import TruthPoints, load_truth_points
 
 DOUBLE = torch.float64

@@ -9,12 +9,12 @@ import torch
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.geometry import Similarity, heading_rotation, so3_exp
+from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.report.metrics import evaluate
 from torchrefrac.report.point_errors import TruePlaces, flatness, segment_median, true_places
 from torchrefrac.scene import Reconstruction, Truth, load_truth
 from torchrefrac.scene.library import embedded_scene
-from torchrefrac.scene.synthetic.surfaces import TriangleMesh
 from torchrefrac.scene.true_surface import TrueSurface
 
 DOUBLE = torch.float64

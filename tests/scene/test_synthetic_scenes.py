@@ -17,6 +17,7 @@ from torchrefrac import FlatInterface, RefractiveCamera
 from torchrefrac.camera import Intrinsics
 from torchrefrac.config import OptionError, build, build_scene
 from torchrefrac.geometry import split_heading
+from torchrefrac.geometry.surfaces import nearest
 from torchrefrac.scene.synthetic.options import CameraOptions, SyntheticOptions
 from torchrefrac.scene.synthetic.paths import grid, look_at, ring, rolls
 from torchrefrac.scene.synthetic.scenes import (
@@ -34,7 +35,6 @@ from torchrefrac.scene.synthetic.scenes import (
     tank,
 )
 from torchrefrac.scene.synthetic.stage import SceneError
-from torchrefrac.scene.synthetic.surfaces import nearest
 
 CONF = Path(torchrefrac.__file__).parents[1] / "conf"
 NARROW = CameraOptions(width=160, height=120, fov_deg=20.0)

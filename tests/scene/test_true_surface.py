@@ -12,11 +12,12 @@ import trimesh
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.geometry import so3_exp
+from torchrefrac.geometry.surfaces import Rectangle
+from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.scene import CaptureError, Truth, load_truth, load_truth_points
 from torchrefrac.scene.library import embedded_scene
 from torchrefrac.scene.mesh_distance import MeshDistance
-from torchrefrac.scene.synthetic.surfaces import Rectangle, TriangleMesh
 from torchrefrac.scene.true_surface import TrueSurface
 
 DOUBLE = torch.float64

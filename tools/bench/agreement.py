@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.geometry.surfaces import Rectangle
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.scene import Capture, Truth, load_capture, load_truth
 from torchrefrac.scene.capture_file import read_color
@@ -21,7 +22,6 @@ from torchrefrac.scene.library import embedded_scene
 from torchrefrac.scene.synthetic.photograph import Photographer
 from torchrefrac.scene.synthetic.sight import Scenery, see
 from torchrefrac.scene.synthetic.stage import Piece, Stage
-from torchrefrac.scene.synthetic.surfaces import Rectangle
 
 COARSE = 2  # pixels; so fine is it known which plane is seen where
 MARGIN = 3  # such squares across, around edges of planes, that tell nothing of their colours

@@ -18,11 +18,12 @@ import torch
 from agreement import Tank
 from torch import Tensor
 
+from torchrefrac.geometry.surfaces import Rectangle
+from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.scene.synthetic.options import SyntheticOptions
 from torchrefrac.scene.synthetic.paths import look_at, ring
 from torchrefrac.scene.synthetic.photograph import Photographer
 from torchrefrac.scene.synthetic.stage import Piece, Stage
-from torchrefrac.scene.synthetic.surfaces import Rectangle, TriangleMesh
 from torchrefrac.scene.synthetic.textures import ImageTexture
 
 IMAGES = 4

@@ -94,6 +94,9 @@ def adjust(config: DictConfig) -> None:
         return
     with _may_fail(folder):
         _adjust(options, config, folder)
+    if options.report:
+        with _may_fail(folder):
+            write_report(folder)
 
 
 def _adjust(options: AdjustOptions, config: DictConfig, folder: Path) -> None:
@@ -104,8 +107,6 @@ def _adjust(options: AdjustOptions, config: DictConfig, folder: Path) -> None:
         metrics = readjust_run(options, recorder, folder)
     if not options.quiet:
         print(summary(adjustment_lines(metrics)))
-    if options.report:
-        write_report(folder)
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="densify")
@@ -113,7 +114,11 @@ def densify(config: DictConfig) -> None:
     """`torchrefrac densify`."""
     with _may_fail():
         options = densify_options(config)
-        _densify(open_run(Path(options.run), options.capture), options, config)
+        sparse = open_run(Path(options.run), options.capture)
+        with _may_fail(sparse.folder):
+            _densify(sparse, options, config)
+        if options.report:
+            write_report(sparse.folder)
 
 
 def _densify(sparse: SparseRun, options: DensifyOptions, config: DictConfig) -> None:
@@ -125,8 +130,6 @@ def _densify(sparse: SparseRun, options: DensifyOptions, config: DictConfig) -> 
         metrics = densify_run(sparse, options, recorder)
     if not options.quiet:
         print(summary(dense_lines(metrics)))
-    if options.report:
-        write_report(sparse.folder)
 
 
 @contextmanager

@@ -7,7 +7,8 @@ from typing import Any
 
 from torchrefrac.config.build import OptionError, build
 from torchrefrac.recorder import Recorder
-from torchrefrac.scene.library import embedded_scene, made_scene
+from torchrefrac.scene.library import embedded_scene
+from torchrefrac.scene.synthetic.library import made_scene
 from torchrefrac.scene.synthetic.options import SyntheticOptions
 from torchrefrac.scene.synthetic.scenes import SCENES
 

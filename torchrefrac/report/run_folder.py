@@ -56,6 +56,7 @@ class RunFolder:
         kept = {name: value for name, value in found.items() if not name.startswith(DENSE_METRICS) and name != "reason"}
         self.metrics = kept | {"status": "running", "stages": [name for name in kept["stages"] if name != DENSE]}
         self.save_metrics()
+        (self.folder / "report.html").unlink(missing_ok=True)  # which tells of what was
         remove_dense_outputs(self.folder)
         with self._until_the_end():
             yield

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
+from torchrefrac.geometry.surfaces import Rectangle, Surface, nearest
 from torchrefrac.scene.mesh_distance import MeshDistance
-from torchrefrac.scene.synthetic.surfaces import Rectangle, Surface, nearest
 from torchrefrac.scene.truth import Truth
 
 TOLERANCE = 1e-6  # times the largest coordinate: single precision, in which files hold meshes, is ten times finer

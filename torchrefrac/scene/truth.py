@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
+from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.scene.capture_file import read_index_ratio, read_intrinsics
 from torchrefrac.scene.fields import Fields, read_json
-from torchrefrac.scene.synthetic.surfaces import TriangleMesh
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,11 @@ from dataclasses import replace
 import pytest
 import torch
 
+from torchrefrac.geometry.surfaces import Cylinder, Rectangle
+from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.scene.synthetic.options import CameraOptions, SensorOptions, SyntheticOptions
 from torchrefrac.scene.synthetic.paths import look_at, ring
 from torchrefrac.scene.synthetic.stage import Piece, Stage
-from torchrefrac.scene.synthetic.surfaces import Cylinder, Rectangle, TriangleMesh
 
 
 def vector(*components):

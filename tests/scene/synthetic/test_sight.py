@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.geometry.surfaces import Rectangle
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.scene.synthetic.sight import see
 from torchrefrac.scene.synthetic.stage import Piece
-from torchrefrac.scene.synthetic.surfaces import Rectangle
 
 
 def meets(surface, origin, way):

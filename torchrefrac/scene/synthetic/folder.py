@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
+from torchrefrac.geometry.surfaces import Rectangle
 from torchrefrac.scene.atomic import replacing
 from torchrefrac.scene.capture_file import FORMAT as CAPTURE_FORMAT
 from torchrefrac.scene.mesh import write_mesh
@@ -19,7 +20,6 @@ from torchrefrac.scene.synthetic.attitude import Attitude
 from torchrefrac.scene.synthetic.options import SyntheticOptions
 from torchrefrac.scene.synthetic.photograph import Photographer
 from torchrefrac.scene.synthetic.stage import Piece, Stage
-from torchrefrac.scene.synthetic.surfaces import Rectangle
 
 TRUTH_FORMAT = "torchrefrac-truth/1"
 SCENE_FORMAT = "torchrefrac-scene/1"

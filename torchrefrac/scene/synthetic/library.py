@@ -3,6 +3,7 @@
 import errno
 import hashlib
 import json
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +11,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from torchrefrac.recorder import Recorder
+from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene.synthetic.attitude import measure_attitude, measure_positions
 from torchrefrac.scene.synthetic.folder import (
     SURFACE_FILE,
@@ -27,6 +28,7 @@ from torchrefrac.scene.synthetic.folder import (
 from torchrefrac.scene.synthetic.options import SyntheticOptions
 from torchrefrac.scene.synthetic.photograph import Photographer
 from torchrefrac.scene.synthetic.rehearsal import rehearse
+from torchrefrac.scene.synthetic.scenes import stage_of
 from torchrefrac.scene.synthetic.sensor import develop
 from torchrefrac.scene.synthetic.stage import SceneError, Stage
 from torchrefrac.scene.truth_points import FILE as POINTS_FILE
@@ -36,6 +38,25 @@ VERSION = 1
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
+
+
+def made_scene(options: SyntheticOptions, cache: Path | None = None, recorder: Recorder | None = None) -> Path:
+    """Folder of the scene that `options` describe, a capture with its truth; rendered unless `cache` has it already.
+
+    By default `cache` is the folder of the environment variable TORCHREFRAC_CACHE, or torchrefrac/ in the user's cache.
+    Raises SceneError, one sentence with the remedy, where the scene cannot be made or written.
+    """
+    cache = cache or default_cache()
+    folder = scene_folder(options, cache)
+    return folder if folder.is_dir() else render_scene(stage_of(options), options, cache, recorder or SilentRecorder())
+
+
+def default_cache() -> Path:
+    """Where made scenes are kept unless something else is said."""
+    given = os.environ.get("TORCHREFRAC_CACHE")
+    if given:
+        return Path(given)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchrefrac"
 
 
 def scene_folder(options: SyntheticOptions, cache: Path) -> Path:

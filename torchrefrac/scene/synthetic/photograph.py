@@ -7,12 +7,12 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
+from torchrefrac.geometry.surfaces import by_component
 from torchrefrac.numerics.workers import side_by_side
 from torchrefrac.scene.synthetic.fresnel import reflectance
 from torchrefrac.scene.synthetic.options import SyntheticOptions
 from torchrefrac.scene.synthetic.sight import Scenery, Sight
 from torchrefrac.scene.synthetic.stage import Stage
-from torchrefrac.scene.synthetic.surfaces import by_component
 from torchrefrac.scene.synthetic.waves import Waves
 
 TILE_RAYS = 1 << 15  # so many that their tensors stay in the processor's cache

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
+from torchrefrac.geometry.surfaces import Nearest, by_component, nearest
 from torchrefrac.refraction import FlatInterface, refract_rays
 from torchrefrac.scene.synthetic.stage import Piece
-from torchrefrac.scene.synthetic.surfaces import Nearest, by_component, nearest
 from torchrefrac.scene.synthetic.waves import Entry, Waves
 
 OVERLAP = 1e-6  # of the way to the water: a mesh that is met in single precision closes up with its part below

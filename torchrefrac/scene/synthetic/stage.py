@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from torchrefrac.geometry.surfaces import Surface
 from torchrefrac.scene.capture import CaptureError
-from torchrefrac.scene.synthetic.surfaces import Surface
 
 Texture = Callable[[Tensor], Tensor]
 

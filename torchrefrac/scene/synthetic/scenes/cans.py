@@ -9,13 +9,13 @@ import numpy as np
 import torch
 
 from torchrefrac.checks import require
+from torchrefrac.geometry.surfaces import Cylinder, Rectangle
 from torchrefrac.scene.synthetic.options import SyntheticOptions
 from torchrefrac.scene.synthetic.paths import look_at, ring, rolls
 from torchrefrac.scene.synthetic.prints import checkerboard, label, tiles, wood
 from torchrefrac.scene.synthetic.scenes.checks import require_heights, require_images
 from torchrefrac.scene.synthetic.scenes.shapes import footprint, level_rectangle, vector, walls
 from torchrefrac.scene.synthetic.stage import Piece, Stage
-from torchrefrac.scene.synthetic.surfaces import Cylinder, Rectangle
 from torchrefrac.scene.synthetic.textures import ImageTexture, SideBySide
 
 INCH = 2.54

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.scene.synthetic.patterns import gravel
 from torchrefrac.scene.synthetic.stage import Texture
-from torchrefrac.scene.synthetic.surfaces import TriangleMesh
 from torchrefrac.scene.synthetic.textures import ImageTexture, VertexColours, corner_uv
 
 if TYPE_CHECKING:

@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from torchrefrac.checks import require
+from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.scene.synthetic.options import SyntheticOptions
 from torchrefrac.scene.synthetic.paths import grid, look_at, ring, rolls
 from torchrefrac.scene.synthetic.scenes.checks import MAX_IMAGES
 from torchrefrac.scene.synthetic.scenes.ground import bed, boulders, colours, places, with_boulders
 from torchrefrac.scene.synthetic.stage import Piece, Stage
-from torchrefrac.scene.synthetic.surfaces import TriangleMesh
 from torchrefrac.scene.synthetic.textures import ImageTexture
 
 NODE, TEXEL = 1 / 275, 1 / 1000  # of the height field and of its texture, in heights of the drone

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchrefrac.scene.synthetic.surfaces import Rectangle
+from torchrefrac.geometry.surfaces import Rectangle
 
 Vector = Sequence[float]
 

@@ -7,7 +7,7 @@ them, and so are results.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -131,72 +131,6 @@ class Cylinder:
         return vertices, torch.cat([torch.stack(face, dim=-1) for face in faces])
 
 
-@dataclass(frozen=True, eq=False)
-class TriangleMesh:
-    """vertices (v, 3) float64 and faces (f, 3) int64; uv (v, 2) texture coordinates, by default x and y.
-
-    Finds the face with Embree in single precision, and then the place on its plane in double precision.
-    """
-
-    vertices: Tensor
-    faces: Tensor
-    uv: Tensor | None = None
-
-    @cached_property
-    def _finder(self) -> tuple[Any, Tensor, float]:
-        """The mesh as Embree has it, and the origin (3) and scale of its coordinates, which single precision suits."""
-        from embreex.mesh_construction import TriangleMesh as EmbreeMesh  # noqa: PLC0415 - needed only here
-        from embreex.rtcore_scene import EmbreeScene  # noqa: PLC0415 - needed only here
-
-        low, high = self.vertices.amin(dim=0), self.vertices.amax(dim=0)
-        scale = 100.0 / max(float((high - low).max()), torch.finfo(torch.float64).tiny)
-        scene = EmbreeScene()
-        vertices = (scale * (self.vertices - low)).float().contiguous().numpy()
-        EmbreeMesh(scene, vertices=vertices, indices=self.faces.int().contiguous().numpy())
-        return scene, low, scale
-
-    @cached_property
-    def _planes(self) -> Tensor:
-        """Of each face (f, 12): unit normal n and offset n . x, then gradient and value at the world's origin of u and
-        of v."""
-        corners = self.vertices[self.faces]
-        a, b, c = corners.unbind(dim=1)
-        first, second = b - a, c - a
-        across = torch.linalg.cross(first, second)
-        area = across.square().sum(dim=-1, keepdim=True)
-        normal = across / torch.where(area > 0.0, area, 1.0).sqrt()
-        across = across / torch.where(area > 0.0, area, 1.0)
-        weights = torch.stack((torch.linalg.cross(second, across), torch.linalg.cross(across, first)), dim=1)
-        own = (self.vertices[:, :2] if self.uv is None else self.uv)[self.faces]
-        gradient = (own[:, 1:] - own[:, :1]).mT @ weights
-        value = own[:, 0] - (gradient @ a[..., None])[..., 0]
-        rows = (
-            normal,
-            (normal * a).sum(dim=-1, keepdim=True),
-            gradient[:, 0],
-            value[:, :1],
-            gradient[:, 1],
-            value[:, 1:],
-        )
-        return torch.cat(rows, dim=-1)
-
-    def intersect(self, origins: Tensor, directions: Tensor) -> Meeting:
-        scene, low, scale = self._finder
-        start, way = ((scale * (origins - low)).float().contiguous(), directions.float().contiguous())
-        face = torch.from_numpy(scene.run(start.numpy(), way.numpy()))
-        x, d = origins.mT, directions.mT
-        plane = self._planes.index_select(0, face.clamp(min=0)).mT.contiguous()
-        slope = _dot(plane[:3], d)
-        length = (plane[3] - _dot(plane[:3], x)) / torch.where(slope == 0.0, 1.0, slope)
-        met = (face >= 0) & (slope != 0.0) & (length > NEAREST)
-        point = x + length * d
-        uv = torch.stack((_dot(plane[4:7], point) + plane[7], _dot(plane[8:11], point) + plane[11]))
-        return Meeting(torch.where(met, length, torch.inf), uv.mT, plane[:3].mT)
-
-    def triangles(self) -> tuple[Tensor, Tensor]:
-        return self.vertices, self.faces
-
-
 class Nearest(NamedTuple):
     """What rays (N) meet first among several surfaces: `surface` is its index, -1 where they meet none."""
 
@@ -231,8 +165,3 @@ def nearest(surfaces: Sequence[Surface], origins: Tensor, directions: Tensor) ->
 def by_component(vectors: Tensor) -> Tensor:
     """The same vectors (N, k), one component after the other in memory."""
     return vectors.mT.contiguous().mT
-
-
-def _dot(a: Tensor, b: Tensor) -> Tensor:
-    """Of vectors that are columns (3, N)."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

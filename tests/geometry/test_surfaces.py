@@ -5,7 +5,8 @@ import math
 import pytest
 import torch
 
-from torchrefrac.scene.synthetic.surfaces import Cylinder, Rectangle, TriangleMesh, nearest
+from torchrefrac.geometry.surfaces import Cylinder, Rectangle, nearest
+from torchrefrac.geometry.triangle_mesh import TriangleMesh
 
 
 def vector(*components):

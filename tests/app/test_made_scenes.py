@@ -1,0 +1,120 @@
+"""Made scenes in full, through the command: how wrong a run is is known, and refraction is what makes it right."""
+
+import csv
+
+import numpy as np
+import pytest
+import trimesh
+
+CLEARLY = 50.0
+"""How many times the other models must be worse."""
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
+    """A cache that these tests share: the option that says so."""
+    return f"cache={tmp_path_factory.mktemp('scenes')}"
+
+
+@pytest.fixture
+def run(torchrefrac, rendered, metrics, tmp_path):
+    """The metrics of a run with these arguments, which must succeed."""
+
+    def run(*arguments):
+        ended = torchrefrac(*arguments, rendered, "out=run")
+        assert ended.status == 0, ended.err
+        return metrics(tmp_path / "run")
+
+    return run
+
+
+@pytest.fixture
+def sweep(torchrefrac, rendered, metrics, tmp_path):
+    """The metrics of the jobs of a prepared sweep, which must all succeed, in their order."""
+
+    def sweep(*arguments):
+        ended = torchrefrac(*arguments, rendered, "out=runs")
+        assert ended.status == 0, ended.err
+        with (tmp_path / "runs" / "summary.csv").open(encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        found = [metrics(path.parent) for path in sorted((tmp_path / "runs").glob("*/metrics.json"))]
+        assert len(rows) == len(found)
+        return found
+
+    return sweep
+
+
+def _write_stone(path):
+    """A bumpy ball of a metre, as of a stone."""
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    x, y, z = ball.vertices.T
+    bumps = 0.08 * np.sin(5.0 * x + 1.0) * np.sin(4.0 * y) + 0.05 * np.sin(7.0 * z + 2.0 * x)
+    ball.vertices *= 0.5 * (1.0 + bumps)[:, None]
+    ball.export(path)
+
+
+@pytest.mark.slow
+def test_the_paper_s_table_comes_out_of_a_scene_that_is_made(sweep):
+    none, radial, refractive = sweep("sweep=paper_table1")
+
+    assert [found["model"] for found in (none, radial, refractive)] == ["none", "radial", "refractive"]
+    for found in (none, radial, refractive):
+        assert found["registered_images"] == found["images"] == 12
+        assert found["true_index_ratio"] == 1.333
+    assert refractive["camera_rms_cm"] < 0.02
+    for key in ("camera_rms_cm", "point_median_cm"):
+        assert min(none[key], radial[key]) > CLEARLY * refractive[key], key
+
+
+@pytest.mark.slow
+def test_the_error_of_a_wrong_index_ratio_grows_on_both_sides_of_the_true_one(sweep):
+    found = sweep("sweep=index_error", "features.max_features=3000")
+
+    assumed = [each["index_ratio"] for each in found]
+    assert assumed == pytest.approx([1.283, 1.313, 1.323, 1.333, 1.343, 1.353, 1.383])
+    for key in ("camera_rms_cm", "point_median_cm"):
+        errors = [each[key] for each in found]
+        below, above = errors[3::-1], errors[3:]
+        assert below == sorted(below), (key, errors)
+        assert above == sorted(above), (key, errors)
+        assert min(errors[2], errors[4]) > 2.0 * errors[3], (key, errors)
+
+
+@pytest.mark.slow
+def test_packets_in_a_tank_are_reconstructed(run):
+    found = run("scene=cans")
+
+    assert found["registered_images"] == found["images"] == 18
+    assert found["camera_rms_cm"] < 0.04
+    assert found["point_median_cm"] < 0.1
+
+
+@pytest.mark.slow
+def test_a_river_s_bed_is_reconstructed_with_its_satellite_positions(run):
+    found = run("scene=riverbed")
+
+    assert found["registered_images"] == found["images"] == 22
+    assert found["camera_rms_m"] < 0.03
+    assert found["point_median_m"] < 0.03
+
+
+@pytest.mark.slow
+def test_a_mesh_of_one_s_own_is_reconstructed(run, tmp_path):
+    _write_stone(tmp_path / "stone.ply")
+
+    found = run("scene=mesh", f"scene.file={tmp_path / 'stone.ply'}")
+
+    assert found["registered_images"] == found["images"] == 16
+    assert found["camera_rms_m"] < 0.005
+    assert found["point_median_m"] < 0.005
+    assert found["flatness_m"] < 0.005
+
+
+@pytest.mark.slow
+def test_photographs_of_another_renderer_leave_cameras_as_wrong_as_our_own(run, shared_data):
+    theirs = run("scene=capture", f"scene.path={shared_data('tank')}")
+    ours = run("scene=tank")
+
+    assert (theirs["registered_images"], ours["registered_images"]) == (12, 12)
+    for found in (theirs, ours):
+        assert 0.0 < found["camera_rms_cm"] < 0.02

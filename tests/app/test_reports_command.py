@@ -1,0 +1,215 @@
+"""report.html as each command leaves it: after a run, a failed one, `adjust` and `densify`; and how to do without."""
+
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+
+import cv2
+import pytest
+from planted_alignments import plant_alignment
+
+from torchrefrac import densification, pipeline
+from torchrefrac.config import Options
+from torchrefrac.recorder import SilentRecorder
+from torchrefrac.scene import load_capture, write_colmap
+from torchrefrac.scene.library import embedded_scene
+
+FIGURE = "data:image/"
+
+
+class Page(HTMLParser):
+    """The text of a page, what it loads, and the files that it links to."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.loads, self.links, self._words = [], [], []
+        self.page = path.read_text(encoding="utf-8")
+        self.feed(self.page)
+
+    def handle_starttag(self, tag, attributes):
+        for name, value in attributes:
+            if name in ("src", "href", "srcset", "data", "poster", "action"):
+                (self.links if tag == "a" else self.loads).append(value)
+
+    def handle_data(self, data):
+        self._words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self._words).split())
+
+
+@pytest.fixture
+def report(tmp_path):
+    """`report(folder)`: its report, once seen to need no other file, no network and no program."""
+
+    def read(folder="run"):
+        page = Page(tmp_path / folder / "report.html")
+        assert all(load.startswith("data:") for load in page.loads)
+        assert not re.search(r"https?://(?!www\.w3\.org/)|url\(|@import|<script|<iframe|<object", page.page)
+        assert all((tmp_path / folder / link).is_file() for link in page.links if not link.startswith("#"))
+        assert not {"nan", "None", "inf"} & set(page.text.split())
+        return page
+
+    return read
+
+
+@pytest.fixture(scope="module")
+def sparse(tmp_path_factory):
+    """Folder with `capture`, three images of the embedded scene at half their size, and `run`, their sparse model."""
+    source, folder = embedded_scene("tank_small"), tmp_path_factory.mktemp("sparse")
+    content = json.loads((source / "capture.json").read_text())
+    content["images"] = [content["images"][i] for i in (0, 2, 4)]
+    lens = content["intrinsics"]
+    lens |= {name: (lens[name] + 0.5) / 2 - 0.5 for name in ("cx", "cy")} | {"width": 320, "height": 240}
+    lens |= {name: lens[name] / 2 for name in ("fx", "fy")}
+    (folder / "capture" / "images").mkdir(parents=True)
+    for image in content["images"]:
+        half = cv2.resize(cv2.imread(str(source / "images" / image["name"])), (320, 240), interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(folder / "capture" / "images" / image["name"]), half)
+    (folder / "capture" / "capture.json").write_text(json.dumps(content))
+    shutil.copy(source / "truth.json", folder / "capture")
+    pipeline.run(load_capture(folder / "capture"), Options(), SilentRecorder(), folder / "run")
+    return folder
+
+
+@pytest.fixture
+def known_sparse(monkeypatch, sparse):
+    """A run finds its sparse model at once."""
+    known = densification.open_run(sparse / "run").reconstruction
+
+    def reconstruct(_capture, _options, _recorder, on_stage):
+        on_stage("sparse", known, 0.0)
+        return known
+
+    monkeypatch.setattr(pipeline, "reconstruct", reconstruct)
+
+
+@pytest.fixture
+def alignment(make_basin, draw, tmp_path):
+    """Folder of an alignment that a pinhole made of what lies under water."""
+    planted = plant_alignment(make_basin(cameras=6, points=150, seen_by=3), draw, noise=0.3)
+    write_colmap(planted.as_of_a_pinhole(draw), tmp_path / "given")
+    return tmp_path / "given"
+
+
+def test_a_complete_run_is_told_with_its_numbers_and_figures(torchrefrac, sparse, known_sparse, report):
+    ended = torchrefrac("scene=capture", f"scene.path={sparse / 'capture'}", "seed=0", "out=run", reports=True)
+
+    assert (ended.status, ended.err.count("error")) == (0, 0)
+    page = report()
+    for words in (
+        "3 of 3 photographs placed; cameras within ", "of the truth (RMS)", "index ratio 1.33", "Table 1. Errors",
+        "320 × 240 pixels", "seed=0", "Figure 1", "Figure 5", "cam04.jpg", "What the photographs determine",
+    ):  # fmt: skip
+        assert words in page.text, words
+    assert sum(load.startswith(FIGURE) for load in page.loads) >= 5
+    assert {"metrics.json", "cameras.json", "points.ply", "run.log"} <= set(page.links)
+
+
+def test_a_run_without_a_report_leaves_none_and_takes_away_that_of_before(torchrefrac, sparse, known_sparse, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "report.html").write_text("of a run before")
+
+    ended = torchrefrac(
+        "scene=capture", f"scene.path={sparse / 'capture'}", "report=false", "out=run", reports=True
+    )  # fmt: skip
+
+    assert ended.status == 0
+    assert (tmp_path / "run" / "metrics.json").is_file()
+    assert not (tmp_path / "run" / "report.html").exists()
+
+
+def test_a_failed_run_is_told_with_its_reason_and_the_end_of_its_log(torchrefrac, part_of_tank, report):
+    folder = part_of_tank([0, 3])
+    for path in (folder / "images").iterdir():
+        path.unlink()
+
+    ended = torchrefrac("scene=capture", f"scene.path={folder}", "out=run", reports=True)
+
+    assert ended.status == 1
+    (sentence,) = ended.err.removeprefix("error: ").splitlines()
+    page = report()
+    assert f"Failed before the first stage was complete: {sentence}" in page.text
+    assert "cam00.jpg" in sentence
+    assert "failed after" in page.text
+    assert "Table 1" not in page.text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["scene=mesh", "scene.file=nowhere.ply"], "scene.file: nowhere.ply cannot be read: No such file or directory"),
+        (["scene=tank", "scene.index_ratio=abc"], "scene.index_ratio is 'abc', but must be a number"),
+    ],
+)
+def test_a_scene_that_cannot_be_made_has_a_report_that_says_why(torchrefrac, report, arguments, sentence):
+    ended = torchrefrac(*arguments, "out=run", reports=True)
+
+    assert ended.err == f"error: {sentence}\n"
+    page = report()
+    assert sentence in page.text
+    assert arguments[1] in page.text
+
+
+def test_a_failed_run_without_a_report_leaves_none(torchrefrac, tmp_path):
+    torchrefrac("scene=mesh", "scene.file=nowhere.ply", "report=false", "out=run", reports=True)
+
+    assert (tmp_path / "run" / "metrics.json").is_file()
+    assert not (tmp_path / "run" / "report.html").exists()
+
+
+def test_an_adjusted_alignment_is_told_with_what_moved(torchrefrac, alignment, metrics, report, tmp_path):
+    ended = torchrefrac("adjust", f"alignment={alignment}", "index_ratio=1.33", "out=run", reports=True)
+
+    assert (ended.status, ended.err.count("error")) == (0, 0)
+    page = report()
+    for words in ("6 of 6 photographs", "What the photographs determine", "cam05.jpg", "index_ratio"):
+        assert words in page.text, words
+    assert any(load.startswith(FIGURE) for load in page.loads)
+    log = (tmp_path / "run" / "run.log").read_text()
+    assert "complete after" in log.splitlines()[-1]
+
+
+def test_an_alignment_that_cannot_be_adjusted_has_a_report_that_says_why(torchrefrac, report, tmp_path):
+    (tmp_path / "given").mkdir()
+
+    ended = torchrefrac("adjust", "alignment=given", "index_ratio=1.33", "out=run", reports=True)
+
+    assert ended.status == 1
+    assert ended.err.removeprefix("error: ").strip() in report().text
+
+
+def test_an_adjusted_alignment_without_a_report_leaves_none(torchrefrac, alignment, tmp_path):
+    torchrefrac("adjust", f"alignment={alignment}", "index_ratio=1.33", "report=false", "out=run", reports=True)
+
+    assert (tmp_path / "run" / "metrics.json").is_file()
+    assert not (tmp_path / "run" / "report.html").exists()
+
+
+def test_a_run_made_dense_later_has_a_report_of_both(torchrefrac, sparse, metrics, report, tmp_path):
+    shutil.copytree(sparse / "run", tmp_path / "run")
+
+    ended = torchrefrac("densify", "run=run", "dense=depthmap", "dense.cell=12", "outputs.mesh=false", reports=True)
+
+    assert (ended.status, ended.err.count("error")) == (0, 0)
+    found = metrics(tmp_path / "run")
+    page = report()
+    for words in ("3 of 3 photographs placed", "Table 1. Errors", f"{found['dense_points']}", "depthmap"):
+        assert words in page.text.replace("\u202f", ""), words
+    assert "dense.ply" in page.links
+    assert "complete after" in (tmp_path / "run" / "run.log").read_text().splitlines()[-1]
+
+
+def test_a_run_made_dense_without_a_report_has_none_of_before(torchrefrac, sparse, tmp_path):
+    shutil.copytree(sparse / "run", tmp_path / "run")
+    (tmp_path / "run" / "report.html").write_text("of the sparse model alone")
+
+    ended = torchrefrac(
+        "densify", "run=run", "dense=depthmap", "dense.cell=24", "outputs.mesh=false", "outputs.raster=false",
+        "outputs.depth_maps=false", "report=false", reports=True,
+    )  # fmt: skip
+
+    assert ended.status == 0
+    assert not (tmp_path / "run" / "report.html").exists()
