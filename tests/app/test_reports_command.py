@@ -16,6 +16,9 @@ from torchrefrac.scene import load_capture, write_colmap
 from torchrefrac.scene.library import embedded_scene
 
 FIGURE = "data:image/"
+QUICK = (
+    "dense=depthmap", "dense.cell=24", "outputs.mesh=false", "outputs.raster=false", "outputs.depth_maps=false",
+)  # fmt: skip
 
 
 class Page(HTMLParser):
@@ -101,7 +104,7 @@ def test_a_complete_run_is_told_with_its_numbers_and_figures(torchrefrac, sparse
     page = report()
     for words in (
         "3 of 3 photographs placed; cameras within ", "of the truth (RMS)", "index ratio 1.33", "Table 1. Errors",
-        "320 × 240 pixels", "seed=0", "Figure 1", "Figure 5", "cam04.jpg", "What the photographs determine",
+        "320 \u00d7 240 pixels", "seed=0", "Figure 1", "Figure 5", "cam04.jpg", "run.log",
     ):  # fmt: skip
         assert words in page.text, words
     assert sum(load.startswith(FIGURE) for load in page.loads) >= 5
@@ -178,7 +181,7 @@ def test_an_alignment_that_cannot_be_adjusted_has_a_report_that_says_why(torchre
     ended = torchrefrac("adjust", "alignment=given", "index_ratio=1.33", "out=run", reports=True)
 
     assert ended.status == 1
-    assert ended.err.removeprefix("error: ").strip() in report().text
+    assert ended.err.splitlines()[-1].removeprefix("error: ") in report().text
 
 
 def test_an_adjusted_alignment_without_a_report_leaves_none(torchrefrac, alignment, tmp_path):
@@ -191,25 +194,54 @@ def test_an_adjusted_alignment_without_a_report_leaves_none(torchrefrac, alignme
 def test_a_run_made_dense_later_has_a_report_of_both(torchrefrac, sparse, metrics, report, tmp_path):
     shutil.copytree(sparse / "run", tmp_path / "run")
 
-    ended = torchrefrac("densify", "run=run", "dense=depthmap", "dense.cell=12", "outputs.mesh=false", reports=True)
+    ended = torchrefrac("densify", "run=run", *QUICK, reports=True)
 
     assert (ended.status, ended.err.count("error")) == (0, 0)
     found = metrics(tmp_path / "run")
     page = report()
-    for words in ("3 of 3 photographs placed", "Table 1. Errors", f"{found['dense_points']}", "depthmap"):
+    for words in (
+        "3 of 3 photographs placed",
+        "What the photographs determine",
+        f"{found['dense_points']}",
+        "depthmap",
+    ):
         assert words in page.text.replace("\u202f", ""), words
     assert "dense.ply" in page.links
     assert "complete after" in (tmp_path / "run" / "run.log").read_text().splitlines()[-1]
 
 
-def test_a_run_made_dense_without_a_report_has_none_of_before(torchrefrac, sparse, tmp_path):
+@pytest.fixture
+def hopeless(sparse, tmp_path):
+    """The folder of a run that has a report, and cameras that all stand in one place."""
     shutil.copytree(sparse / "run", tmp_path / "run")
     (tmp_path / "run" / "report.html").write_text("of the sparse model alone")
+    cameras = json.loads((tmp_path / "run" / "cameras.json").read_text())
+    for image in cameras["images"]:
+        image["center_in_world"] = [0.0, 0.0, 30.0]
+    (tmp_path / "run" / "cameras.json").write_text(json.dumps(cameras))
+    return tmp_path / "run"
 
-    ended = torchrefrac(
-        "densify", "run=run", "dense=depthmap", "dense.cell=24", "outputs.mesh=false", "outputs.raster=false",
-        "outputs.depth_maps=false", "report=false", reports=True,
-    )  # fmt: skip
 
-    assert ended.status == 0
-    assert not (tmp_path / "run" / "report.html").exists()
+def test_a_dense_stage_that_fails_is_told_with_its_reason(torchrefrac, hopeless, report):
+    ended = torchrefrac("densify", f"run={hopeless}", reports=True)
+
+    assert ended.status == 1
+    reason = ended.err.splitlines()[-1].removeprefix("error: ")
+    assert reason.startswith("no two of 3 registered images see common points")
+    assert f"Failed after features, matching and sparse: {reason}" in report().text
+
+
+def test_a_dense_stage_without_a_report_takes_away_that_of_before(torchrefrac, hopeless):
+    torchrefrac("densify", f"run={hopeless}", "report=false", reports=True)
+
+    assert (hopeless / "metrics.json").is_file()
+    assert not (hopeless / "report.html").exists()
+
+
+def test_a_run_that_cannot_be_opened_keeps_its_report(torchrefrac, hopeless):
+    (hopeless / "cameras.json").unlink()
+
+    ended = torchrefrac("densify", f"run={hopeless}", reports=True)
+
+    assert (ended.status, ended.err.count("\n")) == (1, 1)
+    assert (hopeless / "report.html").read_text() == "of the sparse model alone"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hydra_plugins.torchrefrac_sweeper.messages import one_sentence
-from torchrefrac import cli
+from torchrefrac.cli import commands
 from torchrefrac.report.run_folder import write_metrics
 
 
@@ -35,7 +35,7 @@ class QuickRuns:
 @pytest.fixture
 def runs(monkeypatch):
     quick = QuickRuns()
-    monkeypatch.setattr(cli, "run", quick)
+    monkeypatch.setattr(commands, "run", quick)
     monkeypatch.setattr("torchrefrac.report.sweep.draw_sweep", lambda *_: False)
     return quick
 
@@ -114,7 +114,7 @@ def test_a_job_that_cannot_be_composed_says_why_and_the_others_run(torchrefrac, 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["model=none,radial", "bogus=1"], "bogus is not an option; known here are dense,"),
+        (["model=none,radial", "bogus=1"], "bogus is not an option; known here are cache, dense,"),
         (["model=none,radial", "scene=pond"], "scene is 'pond', but must be one of cans, capture,"),
         (["model=none,radial", "water.index_ratio={"], "'water.index_ratio={' is not understood"),
         (["model=none,radial", "out=a,b"], "out=a,b has several values, but a sweep has one out"),

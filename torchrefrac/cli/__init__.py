@@ -6,6 +6,7 @@ from collections.abc import Callable
 from hydra.core.utils import env_override
 
 from hydra_plugins.torchrefrac_sweeper.messages import COMPOSITION_ERRORS
+from torchrefrac.cli.arguments import for_hydra, typed
 from torchrefrac.cli.commands import adjust, densify, reconstruct
 from torchrefrac.cli.composed import CONF, adjust_options, densify_options, run_options
 from torchrefrac.cli.failures import failed, tell
@@ -13,7 +14,6 @@ from torchrefrac.cli.sweeps import CompareRuns
 
 INTERRUPTED = 130
 OTHERS: dict[str, Callable[[], None]] = {"adjust": adjust, "densify": densify}
-QUIET = ("-q", "--quiet")
 
 __all__ = ["CONF", "CompareRuns", "adjust_options", "densify_options", "main", "run_options"]
 
@@ -21,7 +21,8 @@ __all__ = ["CONF", "CompareRuns", "adjust_options", "densify_options", "main", "
 def main() -> None:
     """Run the command that is in sys.argv; exits with 1 where a job failed, 130 where it was interrupted."""
     failed.clear()
-    program, *given = ("quiet=true" if argument in QUIET else argument for argument in sys.argv)
+    typed[:] = sys.argv[1:]
+    program, given = sys.argv[0], for_hydra(typed)
     command = OTHERS.get(given[0]) if given else None
     sys.argv = [program, *given] if command is None else [program, *given[1:]]  # what is left is Hydra's
     try:

@@ -14,6 +14,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from hydra_plugins.torchrefrac_sweeper.jobs import METRICS, spread
+from torchrefrac.cli.arguments import typed
 from torchrefrac.cli.composed import CONF, adjust_options, densify_options, run_options
 from torchrefrac.cli.failures import EXPECTED, keep_failure, tell
 from torchrefrac.config import AdjustOptions, DensifyOptions, RunOptions, scene_folder
@@ -134,7 +135,7 @@ def _densify(sparse: SparseRun, options: DensifyOptions, config: DictConfig) -> 
 
 @contextmanager
 def _recorders(folder: Path, quiet: bool, append: bool = False) -> Iterator[RunRecorders]:
-    about = {"command": shlex.join(["torchrefrac", *sys.argv[1:]])}
+    about = {"command": shlex.join(["torchrefrac", *(typed or sys.argv[1:])])}
     with run_recorders(folder, quiet, about=about, expected=EXPECTED, append=append) as recorder:
         yield recorder
 

@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 from hydra_plugins.torchrefrac_sweeper.ends import jobs_and_ends, resume_lines, unrecorded_lines
 from hydra_plugins.torchrefrac_sweeper.jobs import ending, find_job, opening, outcome
 from hydra_plugins.torchrefrac_sweeper.records import share_processors
+from torchrefrac.cli.arguments import typed
 from torchrefrac.cli.commands import is_watched
 from torchrefrac.cli.failures import failed, keep_failure, tell
 from torchrefrac.recorder import SilentRecorder
@@ -67,7 +68,7 @@ class CompareRuns(Callback):
             except OSError as error:
                 tell(error, folder)
         if rest:
-            told.append("\n".join(resume_lines(folder, sys.argv[1:])))
+            told.append("\n".join(resume_lines(folder, typed)))
         if rest or not config.quiet:
             print("", *filter(None, told), sep="\n\n")
 
