@@ -23,7 +23,17 @@ from torchrefrac.scene import (
     write_water,
 )
 
-RESULTS = {"colmap", "water.json", "points.ply", "cameras.json", "tracks.npz", "metrics.json", "events", ".hydra"}
+RESULTS = {
+    "run.log",
+    "colmap",
+    "water.json",
+    "points.ply",
+    "cameras.json",
+    "tracks.npz",
+    "metrics.json",
+    "events",
+    ".hydra",
+}
 
 
 @pytest.fixture
@@ -238,7 +248,13 @@ def test_a_folder_that_is_used_again_tells_of_the_last_adjustment_only(torchrefr
     failed = torchrefrac("adjust", f"alignment={given}", "survey=none.json", "out=run")
 
     assert (again.status, failed.status) == (0, 1)
-    assert {path.name for path in (tmp_path / "run").iterdir()} == {"colmap", "metrics.json", "events", ".hydra"}
+    assert {path.name for path in (tmp_path / "run").iterdir()} == {
+        "colmap",
+        "metrics.json",
+        "events",
+        "run.log",
+        ".hydra",
+    }
     assert not list((tmp_path / "run" / "colmap").iterdir())
 
 
@@ -272,7 +288,9 @@ def test_bad_input_is_one_sentence_a_failed_status_and_no_results(
     assert "Traceback" not in ended.err
     assert metrics(tmp_path / "run")["status"] == "failed"
     assert sentence in metrics(tmp_path / "run")["reason"]
-    assert not RESULTS - {"metrics.json", "events", ".hydra"} & {path.name for path in (tmp_path / "run").iterdir()}
+    assert not RESULTS - {"metrics.json", "events", ".hydra", "run.log"} & {
+        path.name for path in (tmp_path / "run").iterdir()
+    }
 
 
 def test_images_that_nothing_connects_are_named(torchrefrac, planted, metrics, tmp_path):

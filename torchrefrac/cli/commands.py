@@ -92,10 +92,10 @@ def adjust(config: DictConfig) -> None:
         options = adjust_options(config)
     except EXPECTED as error:
         write_metrics({"status": "failed", "stages": [], "command": "adjust", "reason": tell(error)}, folder)
-        return
-    with _may_fail(folder):
-        _adjust(options, config, folder)
-    if options.report:
+    else:
+        with _may_fail(folder):
+            _adjust(options, config, folder)
+    if config.report:
         with _may_fail(folder):
             write_report(folder)
 
