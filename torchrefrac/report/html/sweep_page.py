@@ -3,42 +3,29 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from torchrefrac.report.html.contents import Truths, read_contents, read_metrics_of, read_options
+from torchrefrac.report.html.contents import Truths, read_contents
 from torchrefrac.report.html.drawn import Drawn, draw_models
 from torchrefrac.report.html.embed import Picture, picture
 from torchrefrac.report.html.page import write_page
 from torchrefrac.report.html.run_page import MOST_PANELS, ORDER, REPORT, relative_report
 from torchrefrac.report.html.tables import Entry, Table, files_of, table1
 from torchrefrac.report.html.words import MODELS, model_title, seconds
+from torchrefrac.report.sweep.jobs import Job, load_jobs, short_keys, what_varied
+from torchrefrac.report.sweep.units import unit_of
 
 SUMMARY, SUMMARY_WIDTH = "summary.png", 1600
 MOST_FIGURES = 12
-SAID_ELSEWHERE = ("scene", "model", "out", "cache", "quiet")
 DEFAULT = "by default"
 
 
 @dataclass(frozen=True)
-class Job:
-    """A job of a sweep: its folder, metrics, overrides, and the link to its own report (empty: it has none)."""
+class Failed:
+    """A job without a result, what it is called, and the link to its own report (empty: it has none)."""
 
-    run: Path
-    metrics: dict[str, Any]
-    overrides: dict[str, str]
+    job: Job
+    label: str
     link: str
-
-    @property
-    def complete(self) -> bool:
-        return self.metrics.get("status") == "complete"
-
-    @property
-    def scene(self) -> str:
-        return str(self.metrics.get("scene") or Path(str(self.metrics.get("capture", ""))).name or "?")
-
-    @property
-    def reason(self) -> str:
-        return str(self.metrics.get("reason") or "no reason is known")
 
 
 @dataclass(frozen=True)
@@ -56,21 +43,21 @@ def write_sweep_report(folder: Path, runs: Sequence[Path]) -> Path:
     It holds summary.png where that lies in the folder, and Table 1 and Figure 1 of each scene, and links to the jobs'
     own reports, which must be written before. Raises OSError where the page cannot be written.
     """
-    jobs = [_job(run, folder) for run in runs]
-    varied = varied_overrides(jobs)
-    sections = _sections([job for job in jobs if job.complete], varied)
-    failed = [job for job in jobs if not job.complete]
+    jobs = load_jobs(runs)
+    short = short_keys(what_varied(jobs).keys)
+    sections = _sections([job for job in jobs if job.is_complete], short, folder)
+    failed = [job for job in jobs if not job.is_complete]
     write_page(
         "sweep.html",
         folder / REPORT,
         title=f"{len(jobs)} jobs: {_listed([section.title for section in sections])}" if sections else "Sweep",
         verdict=_verdict(jobs, failed),
-        total=seconds(sum(float(job.metrics.get("seconds_total") or 0.0) for job in jobs)),
-        models={model_title(name): MODELS[name] for name in ORDER if any(_model(job) == name for job in jobs)},
+        total=seconds(sum(job.number("seconds_total") or 0.0 for job in jobs)),
+        models={model_title(name): MODELS[name] for name in ORDER if any(job.model == name for job in jobs)},
         varied={
-            key: list(dict.fromkeys(job.overrides.get(key, DEFAULT) for job in jobs if job.overrides)) for key in varied
+            key: list(dict.fromkeys(job.settings.get(key, DEFAULT) for job in jobs if job.settings)) for key in short
         },
-        failed=[(_label(job, varied) or job.run.name, job) for job in failed],
+        failed=[Failed(job, _label(job, short) or job.folder.name, _link(job, folder)) for job in failed],
         summary=_summary(folder / SUMMARY),
         sections=sections,
         files=[cell for cell in files_of(folder) if not cell.link.startswith("multirun")],
@@ -78,44 +65,30 @@ def write_sweep_report(folder: Path, runs: Sequence[Path]) -> Path:
     return folder / REPORT
 
 
-def varied_overrides(jobs: Sequence[Job]) -> list[str]:
-    """The overrides whose values differ between the jobs, but for those that have places of their own."""
-    keys = dict.fromkeys(key for job in jobs for key in job.overrides if key not in SAID_ELSEWHERE)
-    told = [job.overrides for job in jobs if job.overrides]
-    return [key for key in keys if len({overrides.get(key) for overrides in told}) > 1]
+def _link(job: Job, folder: Path) -> str:
+    """To the report of a job, from a page in `folder`; empty where it has none."""
+    return relative_report(job.folder, folder) if (job.folder / REPORT).is_file() else ""
 
 
-def _job(run: Path, folder: Path) -> Job:
-    try:
-        metrics = read_metrics_of(run)
-    except (OSError, ValueError) as error:
-        metrics = {"status": "failed", "reason": str(error)}
-    _, listed = read_options(run, metrics)
-    overrides = {key: value for key, _, value in (item.partition("=") for item in listed)}
-    link = relative_report(run, folder) if (run / REPORT).is_file() else ""
-    return Job(run, metrics, overrides, link)
-
-
-def _sections(jobs: Sequence[Job], varied: Sequence[str]) -> list[SceneSection]:
+def _sections(jobs: Sequence[Job], short: Mapping[str, str], folder: Path) -> list[SceneSection]:
     groups: dict[str, list[Job]] = {}
     for job in jobs:
         groups.setdefault(str(job.metrics.get("capture", job.scene)), []).append(job)
     found = []
     for number, group in enumerate(groups.values()):
-        same = [key for key in varied if len({job.overrides.get(key) for job in group}) == 1]
-        ordered = sorted(group, key=lambda job: ORDER.index(_model(job)) if _model(job) in ORDER else len(ORDER))
+        same = [key for key in short if len({job.settings.get(key) for job in group}) == 1]
+        ordered = sorted(group, key=lambda job: ORDER.index(job.model) if job.model in ORDER else len(ORDER))
         shared = same if len(groups) > 1 else []
-        labels = [_label(job, [key for key in varied if key not in shared], with_scene=False) for job in ordered]
+        told = {key: name for key, name in short.items() if key not in shared}
+        labels = [_label(job, told, with_scene=False) for job in ordered]
         labels = [
-            label if labels.count(label) == 1 else f"{label} [{job.run.name}]"
+            label if labels.count(label) == 1 else f"{label} [{job.folder.name}]"
             for label, job in zip(labels, ordered, strict=True)
         ]
-        title = ", ".join(
-            (group[0].scene, *(f"{_short(key, varied)} {group[0].overrides.get(key, DEFAULT)}" for key in shared))
-        )
-        table = table1([Entry(t, j.metrics, j.link) for t, j in zip(labels, ordered, strict=True)], _unit(group))
+        title = ", ".join((group[0].scene, *(f"{short[key]} {group[0].settings.get(key, DEFAULT)}" for key in shared)))
+        entries = [Entry(label, job.metrics, _link(job, folder)) for label, job in zip(labels, ordered, strict=True)]
         drawn = _figure(ordered, labels) if number < MOST_FIGURES else None
-        found.append(SceneSection(title, table, drawn))
+        found.append(SceneSection(title, table1(entries, _unit(group)), drawn))
     return found
 
 
@@ -124,32 +97,21 @@ def _figure(jobs: Sequence[Job], labels: Sequence[str]) -> Drawn | None:
     if not 2 <= len(jobs) <= MOST_PANELS:
         return None
     truths: Truths = {}
-    return draw_models([read_contents(job.run, truths, with_capture=False) for job in jobs], labels)
+    return draw_models([read_contents(job.folder, truths, with_capture=False) for job in jobs], labels)
 
 
-def _label(job: Job, varied: Sequence[str], with_scene: bool = True) -> str:
-    words = [job.scene] if with_scene and job.scene != "?" else []
-    words += [model_title(_model(job))] if _model(job) else []
-    words += [f"{_short(key, varied)} {job.overrides[key]}" for key in varied if key in job.overrides]
+def _label(job: Job, short: Mapping[str, str], with_scene: bool = True) -> str:
+    words = [job.scene] if with_scene and job.scene else []
+    words += [model_title(job.model)] if job.model else []
+    words += [f"{name} {job.settings[key]}" for key, name in short.items() if key in job.settings]
     return ", ".join(words)
 
 
-def _short(key: str, varied: Sequence[str]) -> str:
-    """The last part of a dotted key, where no other ends like it."""
-    last = key.rpartition(".")[2]
-    return last if sum(other.rpartition(".")[2] == last for other in varied) < 2 else key
-
-
-def _model(job: Job) -> str:
-    return str(job.metrics.get("model", ""))
-
-
 def _unit(group: Sequence[Job]) -> str:
-    keys = [key for job in group for key in job.metrics]
-    for start in ("camera_rms_", "camera_sigma_median_", "point_sigma_median_"):
-        for key in keys:
-            if key.startswith(start):
-                return key.removeprefix(start)
+    for stem in ("camera_rms", "camera_sigma_median", "point_sigma_median"):
+        unit = unit_of(group, stem)
+        if unit:
+            return unit
     return ""
 
 
