@@ -1,5 +1,7 @@
 """What TensorBoard is given can be read back."""
 
+import errno
+
 import cv2
 import numpy as np
 import pytest
@@ -174,3 +176,18 @@ def test_events_of_an_earlier_run_are_removed_and_nothing_else(tmp_path):
     remove_events(tmp_path)
 
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_a_disk_that_is_full_is_one_error_where_the_recorder_is_called(tmp_path, monkeypatch, capfd):
+    from tensorboard.summary.writer.record_writer import RecordWriter  # noqa: PLC0415 - slow to import
+
+    def full(self, data):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left"), TensorBoardRecorder(tmp_path) as board:  # noqa: PT012
+        monkeypatch.setattr(RecordWriter, "write", full)
+        for step in range(100):
+            board.scalar("cost", 1.0, step)
+        board.hparams({}, {})
+
+    assert "Traceback" not in capfd.readouterr().err

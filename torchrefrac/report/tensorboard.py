@@ -1,6 +1,7 @@
 """Curves, histograms, pictures, clouds and the table of runs for TensorBoard."""
 
 import math
+import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,8 +39,10 @@ class TensorBoardRecorder(SilentRecorder):
         from torch.utils.tensorboard import SummaryWriter  # noqa: PLC0415 - slow to import
 
         self._writer = SummaryWriter(str(folder), flush_secs=FLUSH_SECONDS)
+        self._hook = threading.excepthook
 
     def __enter__(self) -> "TensorBoardRecorder":
+        self._hook, threading.excepthook = threading.excepthook, self._tell_of_thread
         return self
 
     def __exit__(
@@ -50,6 +53,14 @@ class TensorBoardRecorder(SilentRecorder):
         except OSError:
             if error is None:
                 raise
+        finally:
+            threading.excepthook = self._hook
+
+    def _tell_of_thread(self, failure: threading.ExceptHookArgs) -> None:
+        """Errors of threads but those of a full disk in TensorBoard's own: it raises them again where it is called."""
+        is_told = isinstance(failure.exc_value, OSError) and type(failure.thread).__module__.startswith("tensorboard.")
+        if not is_told:
+            self._hook(failure)
 
     @property
     def wants_pictures(self) -> bool:
