@@ -30,6 +30,7 @@ bench: $(READY)
 	$(BIN)/python tools/bench/sparse.py $(wildcard ../shared/data/tank)
 	$(BIN)/python tools/bench/dense.py $(wildcard ../shared/data/tank)
 	$(BIN)/python tools/bench/uncertainty.py
+	$(BIN)/python tools/bench/rendering.py
 
 clean:
 	rm -rf $(VENV) outputs/* .pytest_cache .ruff_cache

@@ -17,16 +17,18 @@ EVERY = 12  # pixels from one sparse point to the next
 
 
 class CountingRecorder(SilentRecorder):
-    """Knows how much work there was to be, and how much was reported as done."""
+    """Knows how many cells there were to be densified, and how many were reported as done."""
 
     total = done = 0
 
     @contextmanager
     def meter(self, total: int, description: str, unit: str) -> Iterator[Advance]:
-        self.total = total
+        counts = description == "densifying"
+        if counts:
+            self.total = total
 
         def advance(count: int, text: str) -> None:
-            self.done += count
+            self.done += count * counts
 
         yield advance
 
