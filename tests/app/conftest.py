@@ -6,10 +6,14 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import pytest
 
-from torchrefrac import cli
+from torchrefrac import cli, densification, pipeline
 from torchrefrac.cli import commands, sweeps
+from torchrefrac.config import Options
+from torchrefrac.recorder import SilentRecorder
+from torchrefrac.scene import load_capture
 from torchrefrac.scene.library import embedded_scene
 
 
@@ -73,3 +77,37 @@ def small_tank(part_of_tank):
 def metrics():
     """The metrics.json of a run folder."""
     return lambda folder: json.loads((Path(folder) / "metrics.json").read_text())
+
+
+@pytest.fixture(scope="session")
+def sparse(tmp_path_factory):
+    """Folder with `capture`, three images of the embedded scene at half their size, and `run`, their sparse model."""
+    source, folder = embedded_scene("tank_small"), tmp_path_factory.mktemp("sparse")
+    content = json.loads((source / "capture.json").read_text())
+    content["images"] = [content["images"][i] for i in (0, 2, 4)]
+    lens = content["intrinsics"]
+    assert content["pixel_origin"] == "center"
+    lens |= {name: (lens[name] + 0.5) / 2 - 0.5 for name in ("cx", "cy")} | {"width": 320, "height": 240}
+    lens |= {name: lens[name] / 2 for name in ("fx", "fy")}
+    (folder / "capture" / "images").mkdir(parents=True)
+    for name in (image["name"] for image in content["images"]):
+        image = cv2.imread(str(source / "images" / name))
+        cv2.imwrite(
+            str(folder / "capture" / "images" / name), cv2.resize(image, (320, 240), interpolation=cv2.INTER_AREA)
+        )
+    (folder / "capture" / "capture.json").write_text(json.dumps(content))
+    shutil.copy(source / "truth.json", folder / "capture")
+    pipeline.run(load_capture(folder / "capture"), Options(), SilentRecorder(), folder / "run")
+    return folder
+
+
+@pytest.fixture
+def known_sparse(monkeypatch, sparse):
+    """A run finds its sparse model at once."""
+    known = densification.open_run(sparse / "run").reconstruction
+
+    def reconstruct(_capture, _options, _recorder, on_stage):
+        on_stage("sparse", known, 0.0)
+        return known
+
+    monkeypatch.setattr(pipeline, "reconstruct", reconstruct)

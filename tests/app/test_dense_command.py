@@ -12,43 +12,19 @@ import torch
 from hydra import compose, initialize_config_dir
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from torchrefrac import densification, pipeline
+from torchrefrac import densification
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.cli import CONF, densify_options
 from torchrefrac.config import DensifyOptions, OptionError, Options, build
 from torchrefrac.dense import DenseOptions, FolderStore
-from torchrefrac.recorder import SilentRecorder
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.report import comparison, dense_outputs, run_folder
 from torchrefrac.scene import load_capture, load_dense, load_depth_map, load_raster, load_truth
-from torchrefrac.scene.library import embedded_scene
 
 DENSE_FILES = {"dense.ply", "dense", "dsm.npz", "dsm.png", "mesh.ply", "dense_view.png", "error_map.png"}
 NAMES = ("cam00.jpg", "cam02.jpg", "cam04.jpg")
 QUICK = ("dense=depthmap", "dense.cell=12")
 PLAIN = (*QUICK, "outputs.mesh=false", "outputs.raster=false", "outputs.depth_maps=false")
-
-
-@pytest.fixture(scope="module")
-def sparse(tmp_path_factory):
-    """Folder with `capture`, three images of the embedded scene at half their size, and `run`, their sparse model."""
-    source, folder = embedded_scene("tank_small"), tmp_path_factory.mktemp("sparse")
-    content = json.loads((source / "capture.json").read_text())
-    content["images"] = [content["images"][i] for i in (0, 2, 4)]
-    lens = content["intrinsics"]
-    assert content["pixel_origin"] == "center"
-    lens |= {name: (lens[name] + 0.5) / 2 - 0.5 for name in ("cx", "cy")} | {"width": 320, "height": 240}
-    lens |= {name: lens[name] / 2 for name in ("fx", "fy")}
-    (folder / "capture" / "images").mkdir(parents=True)
-    for name in NAMES:
-        image = cv2.imread(str(source / "images" / name))
-        cv2.imwrite(
-            str(folder / "capture" / "images" / name), cv2.resize(image, (320, 240), interpolation=cv2.INTER_AREA)
-        )
-    (folder / "capture" / "capture.json").write_text(json.dumps(content))
-    shutil.copy(source / "truth.json", folder / "capture")
-    pipeline.run(load_capture(folder / "capture"), Options(), SilentRecorder(), folder / "run")
-    return folder
 
 
 @pytest.fixture
@@ -61,18 +37,6 @@ def place(sparse, tmp_path, metrics, monkeypatch):
         for name in {name for name in vars(module) if name.startswith("draw_")}:
             monkeypatch.setattr(module, name, lambda *arguments: arguments[-1].touch())
     return tmp_path
-
-
-@pytest.fixture
-def known_sparse(monkeypatch, place):
-    """A run finds its sparse model at once."""
-    known = densification.open_run(place / "run").reconstruction
-
-    def reconstruct(_capture, _options, _recorder, on_stage):
-        on_stage("sparse", known, 0.0)
-        return known
-
-    monkeypatch.setattr(pipeline, "reconstruct", reconstruct)
 
 
 @pytest.fixture

@@ -5,15 +5,10 @@ import re
 import shutil
 from html.parser import HTMLParser
 
-import cv2
 import pytest
 from planted_alignments import plant_alignment
 
-from torchrefrac import densification, pipeline
-from torchrefrac.config import Options
-from torchrefrac.recorder import SilentRecorder
-from torchrefrac.scene import load_capture, write_colmap
-from torchrefrac.scene.library import embedded_scene
+from torchrefrac.scene import write_colmap
 
 FIGURE = "data:image/"
 QUICK = (
@@ -56,37 +51,6 @@ def report(tmp_path):
         return page
 
     return read
-
-
-@pytest.fixture(scope="module")
-def sparse(tmp_path_factory):
-    """Folder with `capture`, three images of the embedded scene at half their size, and `run`, their sparse model."""
-    source, folder = embedded_scene("tank_small"), tmp_path_factory.mktemp("sparse")
-    content = json.loads((source / "capture.json").read_text())
-    content["images"] = [content["images"][i] for i in (0, 2, 4)]
-    lens = content["intrinsics"]
-    lens |= {name: (lens[name] + 0.5) / 2 - 0.5 for name in ("cx", "cy")} | {"width": 320, "height": 240}
-    lens |= {name: lens[name] / 2 for name in ("fx", "fy")}
-    (folder / "capture" / "images").mkdir(parents=True)
-    for image in content["images"]:
-        half = cv2.resize(cv2.imread(str(source / "images" / image["name"])), (320, 240), interpolation=cv2.INTER_AREA)
-        cv2.imwrite(str(folder / "capture" / "images" / image["name"]), half)
-    (folder / "capture" / "capture.json").write_text(json.dumps(content))
-    shutil.copy(source / "truth.json", folder / "capture")
-    pipeline.run(load_capture(folder / "capture"), Options(), SilentRecorder(), folder / "run")
-    return folder
-
-
-@pytest.fixture
-def known_sparse(monkeypatch, sparse):
-    """A run finds its sparse model at once."""
-    known = densification.open_run(sparse / "run").reconstruction
-
-    def reconstruct(_capture, _options, _recorder, on_stage):
-        on_stage("sparse", known, 0.0)
-        return known
-
-    monkeypatch.setattr(pipeline, "reconstruct", reconstruct)
 
 
 @pytest.fixture

@@ -39,12 +39,12 @@ class Truth:
         return torch.nn.functional.normalize(torch.linalg.cross(self.edge1, self.edge2), dim=-1)
 
 
-def load_truth(folder: Path) -> Truth | None:
+def load_truth(folder: Path, with_surface: bool = True) -> Truth | None:
     """Read `folder`/truth.json; None where there is none.
 
     The index ratio is that of truth.json, or else, as the lens always, that of the capture.json beside it, if there is
-    one. `surface` names a file of triangles beside it that trimesh can read. Raises CaptureError where a file is
-    damaged, or the one of the surface is missing.
+    one. `surface` names a file of triangles beside it that trimesh can read; it is left out unless with_surface. Raises
+    CaptureError where a file is damaged, or the one of the surface is missing.
     """
     path = folder / "truth.json"
     if not path.is_file():
@@ -68,7 +68,7 @@ def load_truth(folder: Path) -> Truth | None:
         length_unit=top.text("length_unit"),
         index_ratio=None if ratio_from is None else read_index_ratio(ratio_from),
         intrinsics=None if capture is None else read_intrinsics(capture),
-        surface=_read_surface(top, folder) if "surface" in top else None,
+        surface=_read_surface(top, folder) if with_surface and "surface" in top else None,
     )
 
 

@@ -53,7 +53,7 @@ def load_truth_points(folder: Path, names: Sequence[str]) -> TruthPoints | None:
     path = folder / FILE
     if not path.is_file():
         return None
-    truth = load_truth(folder)
+    truth = load_truth(folder, with_surface=False)
     if truth is None:
         raise CaptureError(f"{folder / 'truth.json'} does not exist, but names the images of {path}")
     points, plane, step, offset = _arrays(path)
