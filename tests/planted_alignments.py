@@ -6,9 +6,10 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
+from torchrefrac.files.water import Water
 from torchrefrac.geometry import Plane, align_above_plane, so3_exp
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.scene import Alignment, Water
+from torchrefrac.scene import Alignment
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,13 @@ if TYPE_CHECKING:
         remove_refraction,
         to_kornia,
     )
+    from torchrefrac.commands.reconstruct import reconstruct
     from torchrefrac.config import Options
     from torchrefrac.dense import DenseOptions, densify, patch_costs
+    from torchrefrac.files.capture import load_capture
     from torchrefrac.geometry import Plane
-    from torchrefrac.pipeline import reconstruct
     from torchrefrac.refraction import FlatInterface, solve_refrax, water_index
-    from torchrefrac.scene import Capture, DenseCloud, Reconstruction, load_capture
+    from torchrefrac.scene import Capture, DenseCloud, Reconstruction
 
 __version__ = "0.1.0"
 
@@ -61,9 +62,9 @@ _HOME = {
     "RefractiveCamera": "camera",
     "densify": "dense",
     "from_kornia": "camera",
-    "load_capture": "scene",
+    "load_capture": "files.capture",
     "patch_costs": "dense",
-    "reconstruct": "pipeline",
+    "reconstruct": "commands.reconstruct",
     "remove_refraction": "camera",
     "solve_refrax": "refraction",
     "to_kornia": "camera",

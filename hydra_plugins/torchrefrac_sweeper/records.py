@@ -13,7 +13,7 @@ def write_failure(folder: Path, reason: str, model: str, scene: str, overrides: 
 
     Raises OSError where the folder does not take it.
     """
-    from torchrefrac.report.run_folder import write_metrics  # noqa: PLC0415 - Hydra loads this module for everyone
+    from torchrefrac.commands.run_folder import write_metrics  # noqa: PLC0415 - Hydra loads this module for everyone
 
     record = {"status": "failed", "stages": [], "model": model, "scene": scene, "overrides": spread(overrides)}
     write_metrics(record | {"reason": reason}, folder)

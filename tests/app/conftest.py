@@ -9,12 +9,14 @@ from pathlib import Path
 import cv2
 import pytest
 
-from torchrefrac import cli, densification, pipeline
+from torchrefrac import cli
 from torchrefrac.cli import commands, sweeps
+from torchrefrac.commands import densify as densification
+from torchrefrac.commands import reconstruct as pipeline
 from torchrefrac.config import Options
+from torchrefrac.files.capture import load_capture
+from torchrefrac.files.library import embedded_scene
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.scene import load_capture
-from torchrefrac.scene.library import embedded_scene
 
 
 @dataclass(frozen=True)

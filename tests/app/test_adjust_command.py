@@ -6,22 +6,16 @@ from dataclasses import replace
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
-from planted_alignments import plant_alignment
 
-from torchrefrac import readjustment
+from tests.planted_alignments import plant_alignment
 from torchrefrac.cli import CONF, adjust_options
+from torchrefrac.commands import adjust as readjustment
 from torchrefrac.config import AdjustOptions, OptionError, PlaneOptions, build
-from torchrefrac.scene import (
-    Reconstruction,
-    load_points,
-    read_alignment,
-    read_colmap,
-    read_water,
-    write_cameras,
-    write_colmap,
-    write_tracks,
-    write_water,
-)
+from torchrefrac.files.cameras import load_points, write_cameras
+from torchrefrac.files.colmap.model import read_colmap, write_colmap
+from torchrefrac.files.tracks import read_alignment, write_tracks
+from torchrefrac.files.water import read_water, write_water
+from torchrefrac.scene import Reconstruction
 
 RESULTS = {
     "run.log",

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from torchrefrac import pipeline
-from torchrefrac.scene import load_cameras, load_points
+from torchrefrac.commands import reconstruct as pipeline
+from torchrefrac.files.cameras import load_cameras, load_points
 
 RESULTS = {"cameras.json", "points.ply", "metrics.json", "side_view.png", "features.npz", "matches.npz", "tracks.npz"}
 

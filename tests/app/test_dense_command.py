@@ -12,14 +12,18 @@ import torch
 from hydra import compose, initialize_config_dir
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from torchrefrac import densification
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.cli import CONF, densify_options
+from torchrefrac.commands import dense_outputs, run_folder
+from torchrefrac.commands import densify as densification
 from torchrefrac.config import DensifyOptions, OptionError, Options, build
 from torchrefrac.dense import DenseOptions, FolderStore
+from torchrefrac.files.capture import load_capture
+from torchrefrac.files.dense import load_dense, load_depth_map
+from torchrefrac.files.raster import load_raster
+from torchrefrac.files.truth import load_truth
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.report import comparison, dense_outputs, run_folder
-from torchrefrac.scene import load_capture, load_dense, load_depth_map, load_raster, load_truth
+from torchrefrac.sweeps import comparison
 
 DENSE_FILES = {"dense.ply", "dense", "dsm.npz", "dsm.png", "mesh.ply", "dense_view.png", "error_map.png"}
 NAMES = ("cam00.jpg", "cam02.jpg", "cam04.jpg")

@@ -6,9 +6,9 @@ import shutil
 from html.parser import HTMLParser
 
 import pytest
-from planted_alignments import plant_alignment
 
-from torchrefrac.scene import write_colmap
+from tests.planted_alignments import plant_alignment
+from torchrefrac.files.colmap.model import write_colmap
 
 FIGURE = "data:image/"
 QUICK = (

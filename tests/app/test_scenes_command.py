@@ -9,9 +9,9 @@ import pytest
 import trimesh
 
 from torchrefrac.cli import commands
-from torchrefrac.report.run_folder import write_metrics
-from torchrefrac.scene.synthetic import library
-from torchrefrac.scene.synthetic.scenes import mesh, tank
+from torchrefrac.commands.run_folder import write_metrics
+from torchrefrac.synthetic import library
+from torchrefrac.synthetic.scenes import mesh, tank
 
 SMALL = ("scene.camera.width=320", "scene.camera.height=240", "scene.sensor.samples=1")
 TANK = ("scene=tank", "scene.images=4", *SMALL, "features.max_features=1000")
@@ -52,7 +52,7 @@ def captures(monkeypatch):
         return metrics
 
     monkeypatch.setattr(commands, "run", run)
-    monkeypatch.setattr("torchrefrac.report.sweep.draw_sweep", lambda *_: False)
+    monkeypatch.setattr("torchrefrac.sweeps.draw_sweep", lambda *_: False)
     return seen
 
 

@@ -5,7 +5,7 @@ from hydra import compose, initialize_config_dir
 
 from torchrefrac import cli
 from torchrefrac.cli import CONF, commands, sweeps
-from torchrefrac.report.run_folder import write_metrics
+from torchrefrac.commands.run_folder import write_metrics
 
 PRESETS = sorted(path.stem for path in (CONF / "sweep").glob("*.yaml"))
 

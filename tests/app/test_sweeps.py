@@ -10,7 +10,7 @@ import pytest
 
 from hydra_plugins.torchrefrac_sweeper.messages import one_sentence
 from torchrefrac.cli import commands
-from torchrefrac.report.run_folder import write_metrics
+from torchrefrac.commands.run_folder import write_metrics
 
 
 @dataclass
@@ -36,7 +36,7 @@ class QuickRuns:
 def runs(monkeypatch):
     quick = QuickRuns()
     monkeypatch.setattr(commands, "run", quick)
-    monkeypatch.setattr("torchrefrac.report.sweep.draw_sweep", lambda *_: False)
+    monkeypatch.setattr("torchrefrac.sweeps.draw_sweep", lambda *_: False)
     return quick
 
 

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 import torchrefrac as tr
+from torchrefrac.evaluate.metrics import evaluate
+from torchrefrac.files.truth import load_truth
 from torchrefrac.geometry import rotate, so3_exp
-from torchrefrac.report.metrics import evaluate
-from torchrefrac.scene import load_truth
 
 MINIMUM_RATIO = 50.0
 

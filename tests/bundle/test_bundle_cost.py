@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from bundle_oracles import (
+
+from tests.bundle.bundle_oracles import (
     cost_by_definition,
     dense_system,
     jacobian_of,
@@ -12,8 +13,7 @@ from bundle_oracles import (
     num_unknowns,
     weighted_residuals,
 )
-from tolerances import assert_matches
-
+from tests.tolerances import assert_matches
 from torchrefrac.bundle import Expectations, KnownPoints, Observations, ScaleBars
 from torchrefrac.geometry import so3_exp
 from torchrefrac.optim import huber

@@ -5,15 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from torchrefrac.bundle import (
-    CenterPrior,
-    Expectations,
-    GravityPrior,
-    HeightPrior,
-    KnownPoints,
-    ScaleBars,
-    Waterline,
-)
+from torchrefrac.bundle import CenterPrior, Expectations, GravityPrior, HeightPrior, KnownPoints, ScaleBars, Waterline
 from torchrefrac.geometry import align_above_plane, heading_rotation, so3_exp
 
 in_water_and_air = pytest.mark.parametrize("index_ratio", [1.333, 1.0], ids=["water", "air"])

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from bundle_oracles import dense_system, jacobian_of, null_space_of, projector, weighted_residuals
-from tolerances import assert_matches
 
+from tests.bundle.bundle_oracles import dense_system, jacobian_of, null_space_of, projector, weighted_residuals
+from tests.tolerances import assert_matches
 from torchrefrac.bundle import (
     BundleProblem,
     CenterPrior,

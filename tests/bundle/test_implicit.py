@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import pytest
 import torch
-from bundle_oracles import errors_of, moved, num_unknowns
 from torch import Tensor
 from torch.autograd import gradcheck
 
+from tests.bundle.bundle_oracles import errors_of, moved, num_unknowns
 from torchrefrac.bundle import (
     BundleOptions,
     BundleProblem,

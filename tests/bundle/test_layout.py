@@ -4,10 +4,10 @@ from itertools import product
 
 import pytest
 import torch
-from bundle_oracles import moved, num_unknowns
 from scipy.spatial.transform import Rotation
-from tolerances import assert_matches
 
+from tests.bundle.bundle_oracles import moved, num_unknowns
+from tests.tolerances import assert_matches
 from torchrefrac.bundle import KnownPoints
 from torchrefrac.bundle.layout import WATER_WIDTH, Layout
 from torchrefrac.bundle.rows import LENS

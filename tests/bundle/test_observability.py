@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from bundle_oracles import jacobian_of, weighted_residuals
 
+from tests.bundle.bundle_oracles import jacobian_of, weighted_residuals
 from torchrefrac.bundle import (
     BundleOptions,
     BundleProblem,

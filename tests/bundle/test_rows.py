@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from bundle_oracles import dense_jacobian, errors_of, jacobian_of
-from tolerances import assert_matches
 
+from tests.bundle.bundle_oracles import dense_jacobian, errors_of, jacobian_of
+from tests.tolerances import assert_matches
 from torchrefrac.bundle.rows import IMPOSSIBLE_PX, LENS, WATER, RowModel, observation_rows
 from torchrefrac.optim import robust
 

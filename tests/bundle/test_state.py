@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from tolerances import assert_same_pixels
 
+from tests.tolerances import assert_same_pixels
 from torchrefrac.bundle import BundleState, Links
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.geometry import Plane

@@ -4,18 +4,10 @@ from dataclasses import replace
 
 import pytest
 import torch
-from bundle_oracles import jacobian_of, moved, num_unknowns
-from tolerances import assert_matches
 
-from torchrefrac.bundle import (
-    CenterPrior,
-    Expectations,
-    GravityPrior,
-    HeightPrior,
-    KnownPoints,
-    ScaleBars,
-    Waterline,
-)
+from tests.bundle.bundle_oracles import jacobian_of, moved, num_unknowns
+from tests.tolerances import assert_matches
+from torchrefrac.bundle import CenterPrior, Expectations, GravityPrior, HeightPrior, KnownPoints, ScaleBars, Waterline
 from torchrefrac.bundle.layout import WATER_WIDTH
 from torchrefrac.bundle.rows import LENS
 from torchrefrac.bundle.terms import GlobalPrior, concerned_points

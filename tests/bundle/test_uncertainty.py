@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from bundle_oracles import jacobian_of, weighted_residuals
 from scipy.integrate import quad
 
+from tests.bundle.bundle_oracles import jacobian_of, weighted_residuals
 from torchrefrac.bundle import (
     BundleOptions,
     CenterPrior,

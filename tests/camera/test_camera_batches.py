@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from camera_scenes import COUNT, for_every_interface, scene
-from tolerances import assert_same_pixels
 
+from tests.camera.camera_scenes import COUNT, for_every_interface, scene
+from tests.tolerances import assert_same_pixels
 from torchrefrac.camera import ProjectionJacobians, RefractiveCamera
 from torchrefrac.geometry import Plane, so3_exp
 from torchrefrac.numerics.blocks import BLOCK

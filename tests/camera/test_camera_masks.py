@@ -4,9 +4,17 @@ from dataclasses import replace
 
 import pytest
 import torch
-from camera_scenes import COUNT, INTERFACES, REFRACTING, WALL, for_every_interface, for_every_refraction, scene
-from tolerances import assert_same_pixels
 
+from tests.camera.camera_scenes import (
+    COUNT,
+    INTERFACES,
+    REFRACTING,
+    WALL,
+    for_every_interface,
+    for_every_refraction,
+    scene,
+)
+from tests.tolerances import assert_same_pixels
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.refraction import FlatInterface
 

@@ -2,8 +2,9 @@
 
 import pytest
 import torch
-from camera_scenes import COUNT, for_every_interface, scene
-from tolerances import TOLERANCE, assert_same_pixels
+
+from tests.camera.camera_scenes import COUNT, for_every_interface, scene
+from tests.tolerances import TOLERANCE, assert_same_pixels
 
 pytestmark = [
     pytest.mark.gpu,

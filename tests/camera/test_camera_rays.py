@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from camera_scenes import COUNT, for_every_interface, scene
-from tolerances import assert_matches, assert_same_pixels
 
+from tests.camera.camera_scenes import COUNT, for_every_interface, scene
+from tests.tolerances import assert_matches, assert_same_pixels
 from torchrefrac.camera import Intrinsics
 
 TINY = (6, 8)  # rows and columns

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from camera_scenes import COUNT, for_every_interface, for_every_refraction, scene
-from tolerances import assert_matches, assert_same_pixels
 
+from tests.camera.camera_scenes import COUNT, for_every_interface, for_every_refraction, scene
+from tests.tolerances import assert_matches, assert_same_pixels
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.geometry import Plane, so3_exp
 from torchrefrac.refraction import FlatInterface

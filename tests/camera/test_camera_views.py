@@ -4,9 +4,16 @@ from dataclasses import replace
 
 import pytest
 import torch
-from camera_scenes import COUNT, at_every_place, for_every_interface, for_every_refraction, opencv_pinhole, scene
-from tolerances import assert_matches, assert_same_pixels
 
+from tests.camera.camera_scenes import (
+    COUNT,
+    at_every_place,
+    for_every_interface,
+    for_every_refraction,
+    opencv_pinhole,
+    scene,
+)
+from tests.tolerances import assert_matches, assert_same_pixels
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.geometry import Plane
 from torchrefrac.refraction import FlatInterface

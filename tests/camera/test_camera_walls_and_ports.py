@@ -6,10 +6,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from camera_scenes import COUNT, INTERFACES, for_every_interface, for_every_refraction, opencv_pinhole, scene
 from scipy.optimize import root
-from tolerances import assert_matches, assert_same_pixels
 
+from tests.camera.camera_scenes import (
+    COUNT,
+    INTERFACES,
+    for_every_interface,
+    for_every_refraction,
+    opencv_pinhole,
+    scene,
+)
+from tests.tolerances import assert_matches, assert_same_pixels
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.geometry import so3_exp
 from torchrefrac.refraction import FlatInterface

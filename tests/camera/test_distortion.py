@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from tolerances import DTYPES, assert_matches, assert_same_pixels
 
+from tests.tolerances import DTYPES, assert_matches, assert_same_pixels
 from torchrefrac.camera import distort, distort_with_jacobians, undistort
 
 LENSES = {

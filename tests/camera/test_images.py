@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 from scipy.ndimage import binary_erosion
-from tolerances import EXACT, assert_matches
 
+from tests.tolerances import EXACT, assert_matches
 from torchrefrac.camera import Intrinsics, RefractiveCamera, remove_refraction
 from torchrefrac.geometry import Plane, so3_exp
 from torchrefrac.refraction import FlatInterface

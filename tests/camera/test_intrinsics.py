@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from tolerances import assert_matches, assert_same_pixels
 
+from tests.tolerances import assert_matches, assert_same_pixels
 from torchrefrac.camera import Intrinsics
 
 

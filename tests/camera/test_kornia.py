@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from tolerances import EXACT, assert_same_pixels
 
+from tests.tolerances import EXACT, assert_same_pixels
 from torchrefrac.camera import Intrinsics, from_kornia, to_kornia
 from torchrefrac.refraction import FlatInterface
 

@@ -4,9 +4,9 @@ import math
 
 import pytest
 import torch
-from camera_scenes import COUNT, INTERFACES, for_every_interface, scene
-from tolerances import EXACT, assert_matches, assert_same_pixels
 
+from tests.camera.camera_scenes import COUNT, INTERFACES, for_every_interface, scene
+from tests.tolerances import EXACT, assert_matches, assert_same_pixels
 from torchrefrac.camera import LearnableCamera, RefractiveCamera
 from torchrefrac.camera.learnable import LEARNABLE
 from torchrefrac.geometry import Plane

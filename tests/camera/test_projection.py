@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 import torch
-from camera_scenes import opencv_pinhole
 from scipy.optimize import brentq
-from tolerances import assert_matches, assert_same_pixels
 
+from tests.camera.camera_scenes import opencv_pinhole
+from tests.tolerances import assert_matches, assert_same_pixels
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.geometry import Plane, heading_rotation, so3_exp
 from torchrefrac.refraction import FlatInterface

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from camera_scenes import COUNT, INTERFACES, PLACES, at_every_place, for_every_interface, scene
-from tolerances import assert_matches
 
+from tests.camera.camera_scenes import COUNT, INTERFACES, PLACES, at_every_place, for_every_interface, scene
+from tests.tolerances import assert_matches
 from torchrefrac.camera import ProjectionJacobians, RefractiveCamera, projection_parts
 from torchrefrac.camera.jacobians import BLOCKS
 from torchrefrac.geometry import Plane, so3_exp

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import torch
-from rendered_scenes import Rendered
 from torch import Tensor
 
+from tests.dense.rendered_scenes import Rendered
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.dense.patches import Patches
 

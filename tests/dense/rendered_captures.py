@@ -6,9 +6,9 @@ from pathlib import Path
 
 import cv2
 import torch
-from rendered_scenes import Rendered
 from torch import Tensor
 
+from tests.dense.rendered_scenes import Rendered
 from torchrefrac.dense.images import Images
 from torchrefrac.recorder import Advance, SilentRecorder
 from torchrefrac.scene import Capture, Reconstruction

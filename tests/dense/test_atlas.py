@@ -4,8 +4,8 @@ import math
 
 import pytest
 import torch
-from tolerances import assert_matches
 
+from tests.tolerances import assert_matches
 from torchrefrac.dense.atlas import MARGIN, Atlas, pyramid
 
 SIZES = [(31, 47), (24, 20), (37, 37), (12, 55)]  # height, width

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from rendered_captures import write_capture, write_mask
-from rendered_scenes import Rendered, cameras_around
 
+from tests.dense.rendered_captures import write_capture, write_mask
+from tests.dense.rendered_scenes import Rendered, cameras_around
 from torchrefrac.dense.images import Images
 from torchrefrac.scene import CaptureError
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from rendered_captures import sparse_reconstruction, write_capture
-from rendered_scenes import Board, cameras_around, marble, render
 
+from tests.dense.rendered_captures import sparse_reconstruction, write_capture
+from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.dense import DenseOptions, densify
 
 pytestmark = [

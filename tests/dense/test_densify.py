@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from rendered_captures import sparse_reconstruction, write_capture, write_mask
-from rendered_scenes import Board, cameras_around, marble, render
 
+from tests.dense.rendered_captures import sparse_reconstruction, write_capture, write_mask
+from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.dense import DenseError, DenseOptions, densify, depth_maps
 from torchrefrac.scene import CaptureError
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from planted_patches import patches_shown
-from rendered_scenes import Board, cameras_around, marble, render
 
+from tests.dense.planted_patches import patches_shown
+from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.dense.depth_maps import depth_map
 from torchrefrac.dense.patches import Patches
 

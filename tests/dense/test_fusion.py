@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from planted_patches import patches_at
-from rendered_scenes import cameras_around
 
+from tests.dense.planted_patches import patches_at
+from tests.dense.rendered_scenes import cameras_around
 from torchrefrac.dense.fusion import fuse
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.rays import PixelRays

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from rendered_scenes import Board, cameras_around, marble, render
 
+from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.dense.growth import RINGS, TRIES, UNTRIED, Cells, grow
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches

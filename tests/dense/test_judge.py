@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from rendered_scenes import FOCAL, Board, cameras_around, marble, render
 from torch import Tensor
 
+from tests.dense.rendered_scenes import FOCAL, Board, cameras_around, marble, render
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.dense.judge import fewest_others, plane_through
 from torchrefrac.dense.options import DenseOptions

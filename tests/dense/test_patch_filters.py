@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from planted_patches import patches_at, patches_shown
-from rendered_scenes import Board, cameras_around, marble, render
 
+from tests.dense.planted_patches import patches_at, patches_shown
+from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.dense.filtering import _votes, supported, unobstructing
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.rays import PixelRays

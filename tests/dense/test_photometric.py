@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from rendered_scenes import Board, cameras_around, marble, render
 from scipy.ndimage import map_coordinates
 from torch import Tensor
 
+from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.dense.atlas import Atlas
 from torchrefrac.dense.photometric import WORST, Comparison, patch_costs, unit_windows

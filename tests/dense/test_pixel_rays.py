@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from tolerances import assert_matches, assert_same_pixels
 
+from tests.tolerances import assert_matches, assert_same_pixels
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.geometry import Plane

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from rendered_scenes import FOCAL, Board, cameras_around, marble, render
 from torch import Tensor
 
+from tests.dense.rendered_scenes import FOCAL, Board, cameras_around, marble, render
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.dense.atlas import Atlas
 from torchrefrac.dense.matching.interest_points import InterestPoints

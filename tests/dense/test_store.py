@@ -5,10 +5,10 @@ from dataclasses import fields, replace
 
 import pytest
 import torch
-from planted_patches import patches_shown
-from rendered_captures import sparse_reconstruction, write_capture, write_mask
-from rendered_scenes import Board, cameras_around, marble, render
 
+from tests.dense.planted_patches import patches_shown
+from tests.dense.rendered_captures import sparse_reconstruction, write_capture, write_mask
+from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.dense import DenseOptions, FolderStore, SweepOptions, densify
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.store import NoStore, fingerprint

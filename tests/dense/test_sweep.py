@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from rendered_scenes import FOCAL, Board, cameras_around, marble, render
 
+from tests.dense.rendered_scenes import FOCAL, Board, cameras_around, marble, render
 from torchrefrac.dense.atlas import Atlas
 from torchrefrac.dense.options import DenseOptions, SweepOptions
 from torchrefrac.dense.sweeping.sweep import sweep

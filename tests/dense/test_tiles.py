@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from rendered_captures import CountingRecorder, images_of, sparse_reconstruction, write_capture, write_mask
-from rendered_scenes import Board, cameras_around, marble, render
 
+from tests.dense.rendered_captures import CountingRecorder, images_of, sparse_reconstruction, write_capture, write_mask
+from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.dense import DenseOptions, densify
 from torchrefrac.dense.images import Images
 from torchrefrac.dense.neighbours import Neighbourhood

@@ -4,8 +4,8 @@ import math
 
 import pytest
 import torch
-from tolerances import assert_matches
 
+from tests.tolerances import assert_matches
 from torchrefrac.dense.window import Window
 
 for_every_window = pytest.mark.parametrize(

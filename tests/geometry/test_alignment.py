@@ -4,8 +4,8 @@ import math
 
 import pytest
 import torch
-from tolerances import assert_matches
 
+from tests.tolerances import assert_matches
 from torchrefrac.geometry import Similarity, align_above_plane, align_similarity, heading_rotation, so3_exp
 
 

@@ -3,8 +3,8 @@
 import math
 
 import torch
-from tolerances import assert_matches
 
+from tests.tolerances import assert_matches
 from torchrefrac.geometry import heading_rotation, level_rotation, rotate, split_heading
 
 DOWN = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)

@@ -4,8 +4,8 @@ import math
 
 import pytest
 import torch
-from tolerances import DTYPES, assert_matches
 
+from tests.tolerances import DTYPES, assert_matches
 from torchrefrac.geometry import Plane, rotate, so3_exp
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)

@@ -4,8 +4,8 @@ import math
 
 import pytest
 import torch
-from tolerances import DTYPES, EXACT, assert_matches
 
+from tests.tolerances import DTYPES, EXACT, assert_matches
 from torchrefrac.geometry import rotate, skew, so3_exp, so3_log
 
 # Around the switch to the series at 1e-4, and up to half a turn.

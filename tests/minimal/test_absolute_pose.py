@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 import torch
-from pose_errors import WATER, absolute_error
 from scipy.optimize import minimize_scalar
 
+from tests.minimal.pose_errors import WATER, absolute_error
 from torchrefrac.geometry import heading_rotation
 from torchrefrac.minimal import absolute_pose_2pt, absolute_pose_lsqi
 from torchrefrac.refraction import FlatInterface, lift_points

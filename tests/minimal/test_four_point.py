@@ -4,9 +4,9 @@ import math
 
 import pytest
 import torch
-from pose_errors import HEIGHT, WATER, depth_of_meeting, relative_error, sine_of_missing
-from tolerances import assert_matches
 
+from tests.minimal.pose_errors import HEIGHT, WATER, depth_of_meeting, relative_error, sine_of_missing
+from tests.tolerances import assert_matches
 from torchrefrac.geometry import heading_rotation
 from torchrefrac.minimal import relative_pose_4pt, relative_pose_7pt
 from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt

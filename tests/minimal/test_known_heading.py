@@ -4,9 +4,9 @@ import math
 
 import pytest
 import torch
-from pose_errors import HEIGHT, WATER, depth_of_meeting
-from tolerances import assert_matches
 
+from tests.minimal.pose_errors import HEIGHT, WATER, depth_of_meeting
+from tests.tolerances import assert_matches
 from torchrefrac.geometry import heading_rotation
 from torchrefrac.minimal import absolute_pose_known_heading, relative_pose_3pt, relative_pose_4pt
 from torchrefrac.minimal.known_heading import unchecked_absolute_pose_known_heading, unchecked_relative_pose_3pt

@@ -4,9 +4,9 @@ import math
 
 import pytest
 import torch
-from pose_errors import HEIGHT, WATER, angle, depth_of_meeting, relative_error
-from tolerances import assert_matches
 
+from tests.minimal.pose_errors import HEIGHT, WATER, angle, depth_of_meeting, relative_error
+from tests.tolerances import assert_matches
 from torchrefrac.geometry import heading_rotation
 from torchrefrac.minimal import relative_pose_7pt, relative_pose_npt
 from torchrefrac.minimal.rays import bent

@@ -4,8 +4,8 @@ import math
 
 import pytest
 import torch
-from tolerances import DTYPES, assert_matches
 
+from tests.tolerances import DTYPES, assert_matches
 from torchrefrac.minimal import triangulate, triangulation_angle
 
 

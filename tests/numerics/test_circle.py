@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 from scipy.optimize import minimize_scalar
-from tolerances import EXACT, assert_matches
 
+from tests.tolerances import EXACT, assert_matches
 from torchrefrac.numerics import least_squares_on_circle
 
 

@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from tolerances import DTYPES, assert_matches
 
+from tests.tolerances import DTYPES, assert_matches
 from torchrefrac.numerics import adjugate_4x4, determinant_4x4
 
 

@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from tolerances import DTYPES
 
+from tests.tolerances import DTYPES
 from torchrefrac.numerics import morton_code
 
 

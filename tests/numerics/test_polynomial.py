@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from tolerances import assert_matches
 
+from tests.tolerances import assert_matches
 from torchrefrac.numerics import real_roots
 
 

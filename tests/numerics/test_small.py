@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from tolerances import DTYPES, assert_matches
 
+from tests.tolerances import DTYPES, assert_matches
 from torchrefrac.numerics import inverse_cholesky_3x3, inverse_cholesky_components, smallest_eigenvector_2x2
 
 ROW, COLUMN = torch.tril_indices(3, 3)

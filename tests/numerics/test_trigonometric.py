@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 import torch
-from tolerances import DTYPES, assert_matches
 
+from tests.tolerances import DTYPES, assert_matches
 from torchrefrac.numerics import fourier_coefficients, roots_on_circle
 
 

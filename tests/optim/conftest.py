@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 
 import pytest
 import torch
-from linear_problems import Linear, Term
 
+from tests.optim.linear_problems import Linear, Term
 from torchrefrac.optim import Family, covariance, elimination, normal_equations, plan
 
 

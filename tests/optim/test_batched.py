@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import pytest
 import torch
 from scipy.optimize import least_squares
-from tolerances import DTYPES, assert_matches
 from torch import Tensor
 
+from tests.tolerances import DTYPES, assert_matches
 from torchrefrac.optim import Quadratic, minimize_each
 from torchrefrac.optim.batched import covariance_of, solve_damped
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from linear_problems import with_gauge
 
+from tests.optim.linear_problems import with_gauge
 from torchrefrac.optim import Covariance, NormalEquations, SingularError, covariance
 
 SHAPES = [

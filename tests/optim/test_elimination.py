@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from linear_problems import DenseElimination, at_places, of_points
 
+from tests.optim.linear_problems import DenseElimination, at_places, of_points
 from torchrefrac.optim import Elimination
 
 SHAPES = [

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from linear_problems import DenseElimination, flat, with_gauge
 
+from tests.optim.linear_problems import DenseElimination, flat, with_gauge
 from torchrefrac.optim import Blocks, Elimination, IterativeOptions, Linearized, solve_dense, solve_iteratively
 
 SHAPES = [

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from linear_problems import flat, with_gauge
 
+from tests.optim.linear_problems import flat, with_gauge
 from torchrefrac.optim import Blocks, Linearized, linearize
 
 SHAPES = [{}, {"families": [(3, 2), (1, 1)]}, {"families": [(2, 2)], "extra": 3}, {"extra": 3}]

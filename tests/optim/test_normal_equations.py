@@ -2,9 +2,9 @@
 
 import pytest
 import torch
-from linear_problems import at_places, of_points
-from tolerances import assert_matches
 
+from tests.optim.linear_problems import at_places, of_points
+from tests.tolerances import assert_matches
 from torchrefrac.optim import Blocks, Elimination
 from torchrefrac.optim.normal_equations import UPPER, in_cache
 

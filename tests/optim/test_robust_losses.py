@@ -5,8 +5,8 @@ from typing import get_args
 
 import pytest
 import torch
-from tolerances import DTYPES, assert_matches
 
+from tests.tolerances import DTYPES, assert_matches
 from torchrefrac.optim import LossName, huber, robust
 
 every = pytest.mark.parametrize("loss", get_args(LossName))

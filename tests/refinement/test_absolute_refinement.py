@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import torch
 from scipy.optimize import least_squares
-from tolerances import assert_matches
 from torch import Tensor
 
+from tests.tolerances import assert_matches
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.geometry import level_rotation, rotate, so3_exp
 from torchrefrac.refinement import OneView, tilt_and_heading

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import pytest
 import torch
 from scipy.optimize import least_squares
-from tolerances import DTYPES, TOLERANCE
 from torch import Tensor
 
+from tests.tolerances import DTYPES, TOLERANCE
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.geometry import so3_exp, triples
 from torchrefrac.refinement.epipolar import (

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 import torch
 from scipy.optimize import least_squares
-from tolerances import DTYPES
 from torch import Tensor
 
+from tests.tolerances import DTYPES
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.geometry import Plane
 from torchrefrac.minimal import triangulate, triangulation_angle

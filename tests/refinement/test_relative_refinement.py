@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 import torch
-from tolerances import assert_matches
 from torch import Tensor
 
+from tests.tolerances import assert_matches
 from torchrefrac.bundle import BundleOptions, BundleState, GravityPrior, Observations, adjust
 from torchrefrac.geometry import heading_rotation, level_rotation, rotate, so3_exp
 from torchrefrac.optim import LevenbergMarquardtOptions

@@ -4,9 +4,9 @@ import math
 
 import pytest
 import torch
-from tolerances import DTYPES, TOLERANCE, assert_matches
 from torch import Tensor
 
+from tests.tolerances import DTYPES, TOLERANCE, assert_matches
 from torchrefrac.geometry import heading_rotation, level_rotation, so3_log
 from torchrefrac.refinement import tilt_and_heading, tilted_rotation
 from torchrefrac.refinement.tilt import turn_by_tilt

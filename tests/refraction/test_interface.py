@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from interfaces import INTERFACES, TILTED, WALL
-from tolerances import DTYPES, assert_matches
 
+from tests.refraction.interfaces import INTERFACES, TILTED, WALL
+from tests.tolerances import DTYPES, assert_matches
 from torchrefrac.geometry import Plane
 from torchrefrac.refraction import FRESH_WATER, FlatInterface, water_index
 

@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from tolerances import DTYPES, assert_matches
 
+from tests.tolerances import DTYPES, assert_matches
 from torchrefrac.geometry import Plane, triples
 from torchrefrac.refraction import FlatInterface, lift_points, solve_refrax
 from torchrefrac.refraction.lift import is_valid, look, solve_height_with_partials

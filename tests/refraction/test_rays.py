@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from tolerances import DTYPES, assert_matches
 
+from tests.tolerances import DTYPES, assert_matches
 from torchrefrac.refraction import FlatInterface, refract_rays
 
 WATER = FlatInterface(torch.tensor(1.333, dtype=torch.float64))

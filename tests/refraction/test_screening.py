@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from tolerances import DTYPES
 
+from tests.tolerances import DTYPES
 from torchrefrac.refraction import apparent_height, screening_height
 
 HEIGHTS = 10.0 ** torch.linspace(-1.0, 1.0, 3, dtype=torch.float64)

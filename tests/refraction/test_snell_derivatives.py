@@ -4,8 +4,8 @@ import math
 
 import pytest
 import torch
-from tolerances import assert_matches
 
+from tests.tolerances import assert_matches
 from torchrefrac.refraction import apparent_height, apparent_height_partials, solve_refrax
 
 PLACES = {  # height, depth, distance, index ratio

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 from scipy.optimize import brentq
-from tolerances import DTYPES, EXACT, TOLERANCE, assert_matches
 
+from tests.tolerances import DTYPES, EXACT, TOLERANCE, assert_matches
 from torchrefrac.refraction import solve_refrax
 from torchrefrac.refraction.iterations import Equation, lower_bound
 

@@ -2,7 +2,8 @@
 
 import pytest
 import torch
-from interfaces import (
+
+from tests.refraction.interfaces import (
     INTERFACES,
     cameras_before,
     depth_of_borders,
@@ -10,8 +11,7 @@ from interfaces import (
     points_within,
     through_every_interface,
 )
-from tolerances import assert_matches
-
+from tests.tolerances import assert_matches
 from torchrefrac.geometry import Plane, triples
 from torchrefrac.refraction import FlatInterface, apparent_height, apparent_height_partials, lift_points, refract_rays
 from torchrefrac.refraction.lift import look, solve_height, solve_height_with_partials

@@ -4,7 +4,9 @@ import math
 
 import pytest
 import torch
-from interfaces import (
+from torch.nn.functional import normalize
+
+from tests.refraction.interfaces import (
     INTERFACES,
     WALL,
     at_depth,
@@ -14,9 +16,7 @@ from interfaces import (
     points_within,
     through_every_interface,
 )
-from tolerances import DTYPES, EXACT, assert_matches
-from torch.nn.functional import normalize
-
+from tests.tolerances import DTYPES, EXACT, assert_matches
 from torchrefrac.geometry import Plane, rotate
 from torchrefrac.refraction import FlatInterface, lift_points, refract_rays
 

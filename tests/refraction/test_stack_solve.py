@@ -2,8 +2,9 @@
 
 import pytest
 import torch
-from stacks import Stack, make_stack, solve_by_bracketing
-from tolerances import TOLERANCE
+
+from tests.refraction.stacks import Stack, make_stack, solve_by_bracketing
+from tests.tolerances import TOLERANCE
 
 MEDIA = [2, 3, 4, 5]
 

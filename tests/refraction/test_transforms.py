@@ -4,10 +4,10 @@ from functools import partial
 
 import pytest
 import torch
-from interfaces import INTERFACES, cameras_before, points_behind
-from tolerances import assert_matches
 from torch.func import hessian, jacfwd, jacrev, vmap
 
+from tests.refraction.interfaces import INTERFACES, cameras_before, points_behind
+from tests.tolerances import assert_matches
 from torchrefrac.refraction import FlatInterface, lift_points, refract_rays, solve_refrax, water_index
 
 HALF = [torch.float16, torch.bfloat16]

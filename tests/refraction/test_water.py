@@ -4,8 +4,8 @@ import math
 
 import pytest
 import torch
-from tolerances import assert_matches
 
+from tests.tolerances import assert_matches
 from torchrefrac.refraction import FRESH_WATER, SEA_WATER, water_index
 
 COEFFICIENTS = (1.31405, 1.779e-4, -1.05e-6, 1.6e-8, -2.02e-6, 15.868, 0.01155, -0.00423, -4382.0, 1.1455e6)

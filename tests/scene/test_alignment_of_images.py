@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from alignments import assert_same, two_lens_alignment
 
+from tests.files.alignments import assert_same, two_lens_alignment
 from torchrefrac.camera import Intrinsics
 from torchrefrac.scene import Reconstruction
 from torchrefrac.scene.alignment import Alignment, AlignmentError

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from planted_alignments import plant_alignment
 
+from tests.planted_alignments import plant_alignment
 from torchrefrac.bundle import BundleOptions, UnadjustableError
+from torchrefrac.files.water import Water
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.scene import Survey, SurveyError, Water
+from torchrefrac.scene import Survey, SurveyError
 from torchrefrac.scene.survey import ScaleBar, SurveyedImage, SurveyedMark, resolve
 from torchrefrac.sfm.readjust import ReadjustOptions, readjust
 from torchrefrac.sfm.water_level import candidate_offsets, find_offset

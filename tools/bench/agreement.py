@@ -14,14 +14,15 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.files.capture import load_capture, read_color
+from torchrefrac.files.library import embedded_scene
+from torchrefrac.files.truth import load_truth
 from torchrefrac.geometry.surfaces import Rectangle
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.scene import Capture, Truth, load_capture, load_truth
-from torchrefrac.scene.capture_file import read_color
-from torchrefrac.scene.library import embedded_scene
-from torchrefrac.scene.synthetic.photograph import Photographer
-from torchrefrac.scene.synthetic.sight import Scenery, see
-from torchrefrac.scene.synthetic.stage import Piece, Stage
+from torchrefrac.scene import Capture, Truth
+from torchrefrac.synthetic.photograph import Photographer
+from torchrefrac.synthetic.sight import Scenery, see
+from torchrefrac.synthetic.stage import Piece, Stage
 
 COARSE = 2  # pixels; so fine is it known which plane is seen where
 MARGIN = 3  # such squares across, around edges of planes, that tell nothing of their colours

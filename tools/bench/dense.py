@@ -31,7 +31,7 @@ from torchrefrac.dense.refine import Planes, refine
 from torchrefrac.dense.seeds import sparse_seeds
 from torchrefrac.dense.tiles import scopes
 from torchrefrac.dense.window import Window
-from torchrefrac.scene.library import embedded_scene
+from torchrefrac.files.library import embedded_scene
 
 METHODS = ("patch", "depthmap")
 OFF_PIXELS, OFF_NORMAL = 1.5, 0.2  # by which the guesses of the speed test miss, standard deviations

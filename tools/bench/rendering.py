@@ -15,9 +15,9 @@ import numpy as np
 import torch
 from agreement import Tank
 
-from torchrefrac.scene.synthetic.options import SyntheticOptions
-from torchrefrac.scene.synthetic.photograph import Photographer
-from torchrefrac.scene.synthetic.scenes import CansOptions, RiverbedOptions, TankOptions, stage_of
+from torchrefrac.synthetic.options import SyntheticOptions
+from torchrefrac.synthetic.photograph import Photographer
+from torchrefrac.synthetic.scenes import CansOptions, RiverbedOptions, TankOptions, stage_of
 
 SCENES = {"tank": TankOptions, "cans": CansOptions, "riverbed": RiverbedOptions}
 IMAGES = 4

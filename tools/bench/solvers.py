@@ -23,15 +23,9 @@ from tqdm import tqdm
 
 import torchrefrac as tr
 from torchrefrac.geometry import level_rotation, so3_log
-from torchrefrac.ransac import (
-    AbsolutePoseEstimator,
-    RansacOptions,
-    RelativePoseEstimator,
-    find_verticals,
-    level_rays,
-    ransac,
-)
+from torchrefrac.ransac import AbsolutePoseEstimator, RansacOptions, RelativePoseEstimator, level_rays, ransac
 from torchrefrac.refinement import tilt_and_heading
+from torchrefrac.sfm.unknown_vertical import find_verticals
 
 MATCHES = 2000
 OPTIONS = RansacOptions(max_error=2.0)

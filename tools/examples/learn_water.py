@@ -18,7 +18,7 @@ from torch.nn import functional
 from tqdm import tqdm
 
 import torchrefrac as tr
-from torchrefrac.scene.library import embedded_scene
+from torchrefrac.files.library import embedded_scene
 
 BLURS = (12.0, 6.0, 3.0, 1.5)  # pixels
 PIXELS = 4000  # of each image a step

@@ -9,10 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from torchrefrac.scene.synthetic.options import CameraOptions, SyntheticOptions
-from torchrefrac.scene.synthetic.photograph import Photographer
-from torchrefrac.scene.synthetic.scenes import CansOptions, RiverbedOptions, TankOptions, stage_of
-from torchrefrac.scene.synthetic.sensor import develop
+from torchrefrac.synthetic.options import CameraOptions, SyntheticOptions
+from torchrefrac.synthetic.photograph import Photographer
+from torchrefrac.synthetic.scenes import CansOptions, RiverbedOptions, TankOptions, stage_of
+from torchrefrac.synthetic.sensor import develop
 
 WIDTH, HEIGHT, GAP = 400, 300, 6
 SCENES: tuple[tuple[SyntheticOptions, tuple[int, ...]], ...] = (

@@ -17,16 +17,17 @@ from hydra_plugins.torchrefrac_sweeper.jobs import METRICS, spread
 from torchrefrac.cli.arguments import typed
 from torchrefrac.cli.composed import CONF, adjust_options, densify_options, run_options
 from torchrefrac.cli.failures import EXPECTED, keep_failure, tell
+from torchrefrac.commands.adjust import readjust_run, require_apart
+from torchrefrac.commands.densify import SparseRun, densify_run, open_run
+from torchrefrac.commands.reconstruct import run
+from torchrefrac.commands.run_folder import write_metrics
 from torchrefrac.config import AdjustOptions, DensifyOptions, RunOptions, scene_folder
-from torchrefrac.densification import SparseRun, densify_run, open_run
-from torchrefrac.pipeline import run
-from torchrefrac.readjustment import readjust_run, require_apart
+from torchrefrac.files.capture import load_capture
+from torchrefrac.html import write_report
+from torchrefrac.record.recorders import RunRecorders, run_recorders
+from torchrefrac.record.summary import adjustment_lines, dense_lines, reconstruction_lines, summary
 from torchrefrac.recorder import Recorder
-from torchrefrac.report.html import write_report
-from torchrefrac.report.recorders import RunRecorders, run_recorders
-from torchrefrac.report.run_folder import write_metrics
-from torchrefrac.report.summary import adjustment_lines, dense_lines, reconstruction_lines, summary
-from torchrefrac.scene import Capture, load_capture
+from torchrefrac.scene import Capture
 
 ONE_BY_ONE = "hydra._internal.core_plugins.basic_launcher.BasicLauncher"
 

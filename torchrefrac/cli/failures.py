@@ -10,9 +10,9 @@ from omegaconf.errors import MissingMandatoryValue
 from hydra_plugins.torchrefrac_sweeper.messages import one_sentence
 from hydra_plugins.torchrefrac_sweeper.records import append_traceback, has_ended, write_failure
 from torchrefrac.bundle import UnadjustableError
+from torchrefrac.commands.reconstruct import ReconstructionError
 from torchrefrac.config import OptionError
 from torchrefrac.dense import DenseError
-from torchrefrac.pipeline import ReconstructionError
 from torchrefrac.scene import AlignmentError, CaptureError, SurveyError
 from torchrefrac.sfm import NoInitialPairError
 

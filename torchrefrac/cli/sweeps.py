@@ -16,11 +16,11 @@ from hydra_plugins.torchrefrac_sweeper.records import share_processors
 from torchrefrac.cli.arguments import typed
 from torchrefrac.cli.commands import is_watched
 from torchrefrac.cli.failures import failed, keep_failure, tell
+from torchrefrac.html import write_job_reports, write_sweep_report
+from torchrefrac.record.terminal import TerminalRecorder
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.report.comparison import compare
-from torchrefrac.report.html import write_job_reports, write_sweep_report
-from torchrefrac.report.sweep import write_summary
-from torchrefrac.report.terminal import TerminalRecorder
+from torchrefrac.sweeps import write_summary
+from torchrefrac.sweeps.comparison import compare
 
 
 class CompareRuns(Callback):

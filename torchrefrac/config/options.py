@@ -5,15 +5,15 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from torchrefrac.config.build import OptionError
+from torchrefrac.config.outputs import DenseOutputs
 from torchrefrac.config.scenes import FolderOptions
 from torchrefrac.dense import DenseOptions
 from torchrefrac.features import MatchOptions, SiftOptions
+from torchrefrac.files.capture import MAX_INDEX_RATIO
 from torchrefrac.refraction import water_index
-from torchrefrac.report.dense_outputs import DenseOutputs
-from torchrefrac.scene.capture_file import MAX_INDEX_RATIO
-from torchrefrac.scene.synthetic.options import SyntheticOptions
 from torchrefrac.sfm import SfmOptions
 from torchrefrac.sfm.readjust import ReadjustOptions
+from torchrefrac.synthetic.options import SyntheticOptions
 
 ModelName = Literal["none", "radial", "refractive"]
 FRESH_WATER = 1.333

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from torchrefrac.config.build import OptionError, build
+from torchrefrac.files.library import embedded_scene
 from torchrefrac.recorder import Recorder
-from torchrefrac.scene.library import embedded_scene
-from torchrefrac.scene.synthetic.library import made_scene
-from torchrefrac.scene.synthetic.options import SyntheticOptions
-from torchrefrac.scene.synthetic.scenes import SCENES
+from torchrefrac.synthetic.library import made_scene
+from torchrefrac.synthetic.options import SyntheticOptions
+from torchrefrac.synthetic.scenes import SCENES
 
 
 @dataclass(frozen=True)

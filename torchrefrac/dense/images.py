@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from torchrefrac.dense.matching.interest_points import InterestPoints, detect_interest_points
+from torchrefrac.files.capture import read_color, read_grey
 from torchrefrac.scene import Capture, CaptureError
-from torchrefrac.scene.capture_file import read_color, read_grey
 
 MASKS = "masks"
 PART, BESIDE = 2048, 32  # pixels across of what is searched for interest points at once, and that it looks beyond

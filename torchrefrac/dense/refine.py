@@ -13,8 +13,8 @@ from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.view_angle import angle_between, fitness
 from torchrefrac.dense.window import Window
-from torchrefrac.numerics.workers import side_by_side
 from torchrefrac.optim.batched import minimize_each
+from torchrefrac.parallel import side_by_side
 
 TOLERANCE = 1e-3  # of the cost: an adjustment ends within a fifth of a standard deviation
 SIDE_BY_SIDE, FEWEST = 4, 1024  # batches, and patches in one of these

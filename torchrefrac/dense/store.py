@@ -9,11 +9,11 @@ from typing import Protocol
 import numpy as np
 import torch
 
+from torchrefrac.atomic import replacing
 from torchrefrac.dense.images import MASKS
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.scene import Capture, Reconstruction
-from torchrefrac.scene.atomic import replacing
 
 
 class Store(Protocol):

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchrefrac.scene.capture_file import read_color
+from torchrefrac.files.capture import read_color
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from torchrefrac.ransac.absolute import AbsolutePoseEstimator
 from torchrefrac.ransac.msac import Estimator, RansacOptions, RansacReport, ransac
 from torchrefrac.ransac.rays import level_rays
 from torchrefrac.ransac.relative import RelativePoseEstimator
-from torchrefrac.ransac.unknown_vertical import UnknownVertical, find_verticals, pinhole_rotation
 
 __all__ = [
     "AbsolutePoseEstimator",
@@ -12,9 +11,6 @@ __all__ = [
     "RansacOptions",
     "RansacReport",
     "RelativePoseEstimator",
-    "UnknownVertical",
-    "find_verticals",
     "level_rays",
-    "pinhole_rotation",
     "ransac",
 ]

@@ -1,43 +1,16 @@
 """An alignment: oriented images and the tie points between them, in whatever frame they were computed."""
 
-import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
-from torchrefrac.scene.capture import CaptureError
-from torchrefrac.scene.fields import Fields
 from torchrefrac.scene.reconstruction import Reconstruction
 
 
 class AlignmentError(ValueError):
     """The alignment cannot be used; the message names the file and the record or field, and the remedy."""
-
-
-@contextmanager
-def alignment_errors() -> Iterator[None]:
-    """Raise what the checked reading of JSON fields finds as AlignmentError."""
-    try:
-        yield
-    except CaptureError as error:
-        raise AlignmentError(str(error)) from None
-
-
-def read_object(path: Path) -> tuple[dict[str, Any], Fields]:
-    """A JSON object, as it is and with checked access; to be called within `alignment_errors`."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, IsADirectoryError):
-        raise AlignmentError(f"{path} is not a file, but must be one of JSON") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise AlignmentError(f"{path} is not valid JSON: {error}") from None
-    return content, Fields(content, path, "")
 
 
 @dataclass(frozen=True, eq=False)

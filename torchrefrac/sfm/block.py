@@ -8,8 +8,9 @@ from torch import Tensor
 
 from torchrefrac.bundle import BundleState, Links, Observations
 from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.files.water import Water
 from torchrefrac.refinement import refine_points
-from torchrefrac.scene import Alignment, Water
+from torchrefrac.scene import Alignment
 from torchrefrac.sfm.meeting_points import meeting_points
 
 SET_ASIDE = 3

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from torchrefrac.bundle import BundleOptions, BundleReport, UnadjustableError, adjust, check_inputs
 from torchrefrac.checks import require
+from torchrefrac.files.water import Water
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Advance, Recorder, SilentRecorder
-from torchrefrac.scene import Alignment, Survey, Water
+from torchrefrac.scene import Alignment, Survey
 from torchrefrac.sfm.adjustment import Steps
 from torchrefrac.sfm.block import Block
 from torchrefrac.sfm.filtering import MIN_OBSERVATIONS

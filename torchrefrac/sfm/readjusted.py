@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from torchrefrac.bundle import BundleReport
+from torchrefrac.files.water import Water
 from torchrefrac.numerics import segment_sum
 from torchrefrac.optim import Status
-from torchrefrac.scene import Alignment, Assessment, Survey, Water
+from torchrefrac.scene import Alignment, Assessment, Survey
 from torchrefrac.sfm.assessment import assess
 from torchrefrac.sfm.block import Block, unstacked
 

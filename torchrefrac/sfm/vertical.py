@@ -16,10 +16,10 @@ from torch import Tensor
 
 from torchrefrac.features import Features, PairMatches
 from torchrefrac.geometry import rotate
-from torchrefrac.ransac import find_verticals, pinhole_rotation
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture
 from torchrefrac.sfm.options import SfmOptions
+from torchrefrac.sfm.unknown_vertical import find_verticals, pinhole_rotation
 
 PAIRS_PER_IMAGE = 3
 LEAST_SIGMA, LEAST_DOWN_SIGMA = math.radians(0.2), math.radians(0.5)

@@ -7,9 +7,10 @@ from torch import Tensor
 
 from torchrefrac.bundle import UnadjustableError
 from torchrefrac.bundle.rows import IMPOSSIBLE_PX
+from torchrefrac.files.water import Water
 from torchrefrac.optim import robust
 from torchrefrac.recorder import Recorder, SilentRecorder
-from torchrefrac.scene import Alignment, Survey, Water
+from torchrefrac.scene import Alignment, Survey
 from torchrefrac.sfm.block import Block
 from torchrefrac.sfm.readjust import ReadjustOptions, Work
 

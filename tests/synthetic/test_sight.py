@@ -1,0 +1,126 @@
+"""What rays see through water: against a tracer in NumPy that follows them one by one."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.geometry.surfaces import Rectangle
+from torchrefrac.refraction import FlatInterface
+from torchrefrac.synthetic.sight import see
+from torchrefrac.synthetic.stage import Piece
+
+
+def meets(surface, origin, way):
+    """Length at which one ray meets a rectangle, a cylinder or a mesh, by its textbook formula; infinite for a miss."""
+    if hasattr(surface, "corner"):
+        matrix = np.stack((-way, surface.edge1.numpy(), surface.edge2.numpy()), axis=-1)
+        length, u, v = np.linalg.solve(matrix, origin - surface.corner.numpy())
+        return length if length > 1e-9 and 0 <= u <= 1 and 0 <= v <= 1 else math.inf
+    if hasattr(surface, "faces"):
+        best = math.inf
+        for a, b, c in surface.vertices.numpy()[surface.faces.numpy()]:
+            length, u, v = np.linalg.solve(np.stack((-way, b - a, c - a), axis=-1), origin - a)
+            if length > 1e-9 and u >= 0 and v >= 0 and u + v <= 1:
+                best = min(best, length)
+        return best
+    base, axis, radius = surface.base.numpy(), surface.axis.numpy(), surface.radius
+    height = np.linalg.norm(axis)
+    axis = axis / height
+    start = origin - base
+    across, tilt = start - (start @ axis) * axis, way - (way @ axis) * axis
+    roots = np.roots((tilt @ tilt, 2 * across @ tilt, across @ across - radius**2))
+    lengths = [r.real for r in roots if abs(r.imag) < 1e-12 and 0 <= (start + r.real * way) @ axis <= height]
+    for level in (0.0, height):
+        length = (level - start @ axis) / (way @ axis)
+        on_plane = start + length * way
+        if np.linalg.norm(on_plane - (on_plane @ axis) * axis) <= radius:
+            lengths.append(length)
+    return min((length for length in lengths if length > 1e-9), default=math.inf)
+
+
+def trace(surfaces, center, way, index_ratio):
+    """Where one ray ends, and on which surface; None and -1 where on none."""
+    to_water = center[2] / -way[2] if way[2] < 0 else math.inf
+    dry = [meets(surface, center, way) for surface in surfaces]
+    if min(dry) < to_water:
+        return center + min(dry) * way, int(np.argmin(dry))
+    if to_water == math.inf:
+        return None, -1
+    entry = center + to_water * way
+    sine = np.hypot(way[0], way[1])
+    bent = np.array((*way[:2] / index_ratio, -math.sqrt(1.0 - (sine / index_ratio) ** 2)))
+    wet = [meets(surface, entry, bent) for surface in surfaces]
+    return (None, -1) if min(wet) == math.inf else (entry + min(wet) * bent, int(np.argmin(wet)))
+
+
+def camera_of(stage, image, index_ratio):
+    lens = Intrinsics.create(400, 300, 300.0)
+    return RefractiveCamera(lens, stage.rotation[image], stage.center[image], FlatInterface(index_ratio))
+
+
+@pytest.mark.parametrize("index_ratio", [1.0, 1.333, 1.5])
+def test_points_are_those_of_a_tracer_that_follows_rays_one_by_one(stage, draw, index_ratio):
+    camera = camera_of(stage, 1, index_ratio)
+    pixels = draw.uniform(0.0, 1.0, 400, 2) * torch.tensor((400.0, 300.0))
+
+    sight = see(stage.pieces, camera, pixels)
+
+    surfaces = [piece.surface for piece in stage.pieces]
+    in_cam = np.concatenate(((pixels.numpy() - (200.0, 150.0)) / 300.0, np.ones((400, 1))), axis=-1)
+    ways = in_cam @ stage.rotation[1].numpy()
+    ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
+    traced = [trace(surfaces, stage.center[1].numpy(), way, index_ratio) for way in ways]
+    assert sight.piece.tolist() == [piece for _, piece in traced]
+    assert set(sight.piece.tolist()) >= {0, 1, 2, 3}
+    points = np.array([point if point is not None else (np.nan,) * 3 for point, _ in traced])
+    np.testing.assert_allclose(sight.points.numpy(), points, rtol=0.0, atol=1e-9)
+
+
+def test_points_project_back_to_their_pixels_above_and_below_the_water(stage, draw):
+    camera = camera_of(stage, 0, 1.333)
+    pixels = draw.uniform(0.0, 1.0, 2000, 2) * torch.tensor((400.0, 300.0))
+
+    sight = see(stage.pieces, camera, pixels)
+
+    met = sight.piece >= 0
+    projected, valid = camera.project(sight.points[met])
+    assert bool(valid.all())
+    assert torch.allclose(projected, pixels[met], atol=1e-8)
+    above = sight.points[met][:, 2] > 0.0
+    assert int(above.sum()) > 20
+    assert torch.equal(above, ~sight.in_water[met])
+
+
+def test_a_ray_that_goes_upwards_meets_what_stands_in_its_way_and_never_the_water(floor):
+    wall = Piece("wall", Rectangle(floor.surface.corner + 40.0, *(floor.surface.edge2, torch.eye(3).double()[2] * 200)),
+                 floor.texture)  # fmt: skip
+    level = torch.tensor([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]], dtype=torch.float64)
+    center = torch.tensor((-80.0, 0.0, 10.0), dtype=torch.float64)
+    camera = RefractiveCamera(Intrinsics.create(40, 40, 20.0), level, center, FlatInterface(1.333))
+    pixels = torch.tensor(((20.0, 10.0), (20.0, 20.0), (20.0, 30.0)), dtype=torch.float64)
+
+    sight = see((floor, wall), camera, pixels)
+
+    assert sight.piece.tolist() == [1, 1, 0]
+    assert sight.in_water.tolist() == [False, False, True]
+
+
+def test_pieces_under_water_are_not_asked_about_dry_rays(stage, floor):
+    class Counted:
+        asked = 0
+
+        def intersect(self, origins, directions):
+            self.asked += 1
+            return floor.surface.intersect(origins, directions)
+
+        def triangles(self):
+            return floor.surface.triangles()
+
+    counted = Counted()
+
+    see((Piece("floor", counted, floor.texture),), camera_of(stage, 0, 1.333), torch.full((5, 2), 100.0).double())
+
+    assert counted.asked == 1

@@ -1,0 +1,194 @@
+"""The stages of a reconstruction as plain functions: photographs in, cameras and points out."""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchrefrac.bundle.rows import LENS
+from torchrefrac.commands.densify import dense_stage
+from torchrefrac.commands.run_folder import RunFolder, describe_gravity
+from torchrefrac.config import Options
+from torchrefrac.evaluate.metrics import evaluate, summarize
+from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
+from torchrefrac.figures.matches import record_matches, record_residuals
+from torchrefrac.files.truth import load_truth
+from torchrefrac.recorder import Recorder, SilentRecorder
+from torchrefrac.scene import Capture, Reconstruction
+from torchrefrac.sfm import (
+    PinholeInitializer,
+    PoseInitializer,
+    RefractiveInitializer,
+    SfmOptions,
+    UnknownVerticalError,
+    VerifiedPair,
+    level_capture,
+    reconstruct_sparse,
+    verify_pairs,
+)
+
+StageHook = Callable[[str, Any, float], None]
+
+
+class ReconstructionError(RuntimeError):
+    """The photographs do not carry a reconstruction; the message says what is missing and what would help."""
+
+
+def reconstruct(
+    capture: Capture,
+    options: Options | None = None,
+    recorder: Recorder | None = None,
+    on_stage: StageHook | None = None,
+) -> Reconstruction:
+    """Reconstruct cameras and sparse points of a capture.
+
+    `on_stage(name, product, seconds)` hears of every finished stage: "features" (list of Features), "levelling" (the
+    capture with estimated verticals; only where gravity is unknown and refraction can show it), "matching" (list of
+    VerifiedPair), "sparse" (Reconstruction). Deterministic for given options. Raises ReconstructionError when no two
+    images can be related, or no pair shows which way is down.
+    """
+    options = options or Options()
+    recorder = recorder or SilentRecorder()
+    stage = _Stages(on_stage)
+    generator = torch.Generator().manual_seed(options.seed)
+
+    features = stage("features", lambda: _extract(capture, options, recorder))
+    matches = stage.part("matching", lambda: _match(features, options, recorder))
+    ratio = options.water.ratio_of(capture.index_ratio)
+    if options.model.name == "refractive" and ratio > 1.0 and not capture.has_gravity:
+        unlevelled = capture
+        capture = stage("levelling", lambda: _level(unlevelled, matches, features, ratio, options, recorder))
+    initializer, sfm = _initializer(capture, ratio, options, recorder)
+    pairs = stage("matching", lambda: _verify(matches, features, initializer, options, generator, recorder))
+    record_matches(capture, features, pairs, recorder)
+    tracks = build_tracks(features, [pair.pair for pair in pairs])
+    recorder.scalar("tracks/count", tracks.num_tracks, 0)
+    recorder.scalar("tracks/observations", len(tracks.track), 0)
+    recorder.histogram("tracks/length", torch.bincount(tracks.track), 0)
+    return stage(
+        "sparse",
+        lambda: reconstruct_sparse(capture, tracks, pairs, initializer, sfm, generator, recorder),
+    )
+
+
+def run(
+    capture: Capture, options: Options, recorder: Recorder, folder: Path, about: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Reconstruct, make it dense where that is asked for, evaluate where truth is at hand, and leave everything in
+    `folder`. Returns the metrics, which begin with those of `about` (such as the name of the scene).
+
+    Each stage's files are written when it ends. When a stage fails or is interrupted, metrics.json says which, why, and
+    what was complete before; the dense stage goes on with the images that were finished when the same is run again.
+    """
+    files = RunFolder(folder)
+    told = {"model": options.model.name, "capture": str(capture.folder.resolve())} | dict(about or {})
+    with files.recording(**told, **describe_gravity(capture)):
+        reconstruction = reconstruct(capture, options, recorder, files.stage_done)
+        with recorder.meter(3, "evaluating", "") as advance:
+            metrics = summarize(reconstruction)
+            advance(1, "")
+            truth = load_truth(capture.folder)
+            aligned = None
+            if truth is not None:
+                measured, aligned = evaluate(reconstruction, truth)
+                metrics |= measured
+            advance(1, "")
+            files.complete(reconstruction, metrics, truth, aligned)
+            record_residuals(capture, reconstruction, recorder)
+            advance(1, "")
+        if options.dense.method != "none":
+            dense_stage(files, capture, reconstruction, options.dense, options.outputs, truth, aligned, recorder)
+    return files.metrics
+
+
+class _Stages:
+    """Times each stage and tells the hook."""
+
+    def __init__(self, hook: StageHook | None) -> None:
+        self._hook = hook
+        self._seconds: Counter[str] = Counter()
+
+    def part(self, name: str, work: Callable[[], Any]) -> Any:
+        """Work that belongs to a stage which is not yet finished by it."""
+        start = time.perf_counter()
+        product = work()
+        self._seconds[name] += time.perf_counter() - start  # type: ignore[assignment]
+        return product
+
+    def __call__(self, name: str, work: Callable[[], Any]) -> Any:
+        product = self.part(name, work)
+        if self._hook is not None:
+            self._hook(name, product, self._seconds[name])
+        return product
+
+
+def _initializer(
+    capture: Capture, ratio: float, options: Options, recorder: Recorder
+) -> tuple[PoseInitializer, SfmOptions]:
+    """Pose initialiser and SfM options of the model that was asked for.
+
+    Without refraction a capture of unknown gravity is levelled by its optical axes: any frame is as good there.
+    """
+    sfm = options.sfm
+    if options.model.name != "refractive" or ratio == 1.0:
+        lens = tuple(name for name in sfm.bundle.refine if name in LENS)
+        if options.model.name == "radial" and "distortion" not in lens:
+            lens = (*(name for name in lens if name != "radial"), "radial")
+        sfm = replace(sfm, bundle=replace(sfm.bundle, refine=lens))
+    if options.model.name != "refractive":
+        return PinholeInitializer(capture, sfm), sfm
+    if ratio == 1.0:
+        recorder.note("index ratio 1: there is no refraction to see the water by, so poses are those of a pinhole")
+        return PinholeInitializer(capture, sfm), sfm
+    return RefractiveInitializer(capture, torch.tensor(ratio, dtype=torch.float64), sfm), sfm
+
+
+def _extract(capture: Capture, options: Options, recorder: Recorder) -> list[Features]:
+    paths = recorder.track(capture.paths, len(capture), "features", "image")
+    return [extract_sift(path, options.features) for path in paths]
+
+
+def _match(features: list[Features], options: Options, recorder: Recorder) -> list[PairMatches]:
+    every = list(combinations(range(len(features)), 2))
+    return [
+        PairMatches(i, j, match(features[i].descriptors, features[j].descriptors, options.matching))
+        for i, j in recorder.track(every, len(every), "matching", "pair")
+    ]
+
+
+def _level(
+    capture: Capture,
+    matches: list[PairMatches],
+    features: list[Features],
+    ratio: float,
+    options: Options,
+    recorder: Recorder,
+) -> Capture:
+    try:
+        return level_capture(capture, matches, features, ratio, options.sfm, recorder)
+    except UnknownVerticalError as error:
+        raise ReconstructionError(str(error)) from None
+
+
+def _verify(
+    matches: list[PairMatches],
+    features: list[Features],
+    initializer: PoseInitializer,
+    options: Options,
+    generator: torch.Generator,
+    recorder: Recorder,
+) -> list[VerifiedPair]:
+    least = options.sfm.min_pair_inliers
+    verified = verify_pairs(matches, features, initializer, least, generator, recorder)
+    if not verified:
+        most = max(len(pair) for pair in matches)
+        raise ReconstructionError(
+            f"no pair of images has {least} matches that agree on a pose (the best pair has {most} matches before "
+            "the check); the photographs must show the same textured surface from nearby places"
+        )
+    return verified

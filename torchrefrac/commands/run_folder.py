@@ -1,0 +1,162 @@
+"""The folder that a run leaves behind: results of every finished stage, and metrics.json that says how far it got."""
+
+import json
+import math
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchrefrac.atomic import replacing
+from torchrefrac.commands.dense_outputs import remove_dense_outputs
+from torchrefrac.features import Features
+from torchrefrac.figures.side_views import draw_side_views, side_view
+from torchrefrac.files.cameras import write_cameras, write_points
+from torchrefrac.files.fields import alignment_errors, read_object
+from torchrefrac.files.tracks import write_tracks
+from torchrefrac.geometry import Similarity
+from torchrefrac.record.memory import forget_peak_memory, peak_memory_gib
+from torchrefrac.scene import Capture, Reconstruction, Truth
+from torchrefrac.sfm import VerifiedPair
+
+RESULTS = (
+    "features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png", "report.html",
+    "metrics.json",
+)  # fmt: skip
+DENSE, DENSE_METRICS = "dense", ("dense_", "seconds_dense")  # the stage, and how the names of its metrics begin
+
+
+class RunFolder:
+    """Writes each result under a temporary name and renames it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.metrics: dict[str, Any] = {}
+
+    @contextmanager
+    def recording(self, **about: Any) -> Iterator[None]:
+        """Keep metrics.json true: "complete", or "failed" / "interrupted" with the reason and the last stage done.
+
+        Results of an earlier run in the same folder are removed first, so that the folder tells of one run. Only what a
+        dense stage had finished before it was interrupted stays, for the next one to go on with.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        for name in RESULTS:
+            (self.folder / name).unlink(missing_ok=True)
+        remove_dense_outputs(self.folder)
+        self.metrics = {"status": "running", "stages": [], **about}
+        with self._until_the_end():
+            yield
+
+    @contextmanager
+    def recording_dense(self) -> Iterator[None]:
+        """The same for a dense stage alone: the results and metrics of all others stay, as metrics.json has them."""
+        found = read_metrics(self.folder)
+        kept = {name: value for name, value in found.items() if not name.startswith(DENSE_METRICS) and name != "reason"}
+        self.metrics = kept | {"status": "running", "stages": [name for name in kept["stages"] if name != DENSE]}
+        self.save_metrics()
+        (self.folder / "report.html").unlink(missing_ok=True)  # which tells of what was
+        remove_dense_outputs(self.folder)
+        with self._until_the_end():
+            yield
+
+    def save_metrics(self) -> None:
+        """Write metrics.json as it is now, for long stages that may come to a sudden end."""
+        write_metrics(self.metrics, self.folder)
+
+    def stage_done(self, name: str, product: Any, seconds: float) -> None:
+        """Write what a stage made."""
+        if name == "features":
+            _write_features(product, self.folder / "features.npz")
+        elif name == "levelling":
+            self.metrics |= describe_gravity(product) | {"gravity": "estimated"}
+        elif name == "matching":
+            _write_matches(product, self.folder / "matches.npz")
+        elif name == "sparse":
+            write_cameras(product, self.folder / "cameras.json")
+            sigma = product.assessment.point_sigma
+            write_points(product.points, product.colors, self.folder / "points.ply", sigma)
+            write_tracks(product, self.folder / "tracks.npz")
+        self.metrics["stages"].append(name)
+        self.metrics[f"seconds_{name}"] = round(seconds, 3)
+
+    def complete(
+        self,
+        reconstruction: Reconstruction,
+        metrics: dict[str, Any],
+        truth: Truth | None,
+        aligned: Similarity | None,
+    ) -> None:
+        """Take in the metrics and draw the figure."""
+        self.metrics |= metrics
+        if reconstruction.failures:
+            self.metrics["not_registered"] = dict(reconstruction.failures)
+        view = side_view(self.metrics["model"], reconstruction, aligned, self.metrics)
+        draw_side_views([view], truth if aligned is not None else None, self.folder / "side_view.png")
+
+    @contextmanager
+    def _until_the_end(self) -> Iterator[None]:
+        start = time.perf_counter() - sum(self.metrics.get(f"seconds_{stage}", 0.0) for stage in self.metrics["stages"])
+        forget_peak_memory()
+        try:
+            yield
+        except KeyboardInterrupt:
+            self._end("interrupted", start, "stopped by the user")
+            raise
+        except Exception as error:
+            self._end("failed", start, str(error) or type(error).__name__)
+            raise
+        self._end("complete", start)
+
+    def _end(self, status: str, start: float, reason: str = "") -> None:
+        self.metrics["status"] = status
+        if reason:
+            self.metrics["reason"] = reason
+        self.metrics["seconds_total"] = round(time.perf_counter() - start, 3)
+        memory = peak_memory_gib()
+        if memory is not None:
+            self.metrics["peak_memory_gib"] = round(memory, 3)
+        self.save_metrics()
+
+
+def describe_gravity(capture: Capture) -> dict[str, Any]:
+    """The metrics that say whether gravity was measured, and how well it is known in degrees."""
+    if not capture.has_gravity:
+        return {"gravity": "unknown"}
+    return {"gravity": "measured", "gravity_sigma_deg": round(math.degrees(capture.down_sigma), 3)}
+
+
+def read_metrics(folder: Path) -> dict[str, Any]:
+    """Read `folder`/metrics.json; without one nothing is known, and no stage complete.
+
+    Raises AlignmentError where it is damaged.
+    """
+    path = folder / "metrics.json"
+    if not path.is_file():
+        return {"stages": []}
+    with alignment_errors():
+        content, top = read_object(path)
+        if not isinstance(content.get("stages"), list):
+            raise top.fail("stages", f"is {content.get('stages')!r}, but must be a list of stages")
+    return content
+
+
+def write_metrics(metrics: dict[str, Any], folder: Path) -> None:
+    """Write `folder`/metrics.json."""
+    with replacing(folder / "metrics.json") as temporary:
+        temporary.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
+
+
+def _write_features(features: Sequence[Features], path: Path) -> None:
+    arrays = {f"pixels_{i:04d}": f.pixels.numpy() for i, f in enumerate(features)}
+    with replacing(path) as temporary:
+        np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
+
+
+def _write_matches(pairs: Sequence[VerifiedPair], path: Path) -> None:
+    arrays = {f"matches_{p.pair.first:04d}_{p.pair.second:04d}": p.pair.matches.numpy() for p in pairs}
+    with replacing(path) as temporary:
+        np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]

@@ -1,0 +1,1 @@
+"""Errors against truth, and the figures that a run states about itself."""

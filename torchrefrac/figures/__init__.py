@@ -1,0 +1,1 @@
+"""Pictures, drawn without global state and without a display."""

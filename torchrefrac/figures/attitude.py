@@ -1,0 +1,137 @@
+"""The paper's Figure 6: the attitude of the cameras as reconstructed, as measured, and as it was."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchrefrac.figures.plotting import ESTIMATE, MEASURED, TRUE, legend_above, number_images, panels, rounded
+from torchrefrac.geometry import split_heading
+from torchrefrac.scene import Capture, Reconstruction, Truth
+
+
+@dataclass(frozen=True)
+class Angle:
+    """One angle of k images in degrees: estimated, and where they are known measured and true (NaN: of that image not).
+
+    The differences wrap at half a turn.
+    """
+
+    name: str
+    estimated: Tensor
+    measured: Tensor | None
+    true: Tensor | None
+
+    def error(self, reference: Tensor | None) -> Tensor | None:
+        """Estimated minus `reference`."""
+        return None if reference is None else wrapped(self.estimated - reference)
+
+
+def attitudes(scene: Reconstruction, capture: Capture | None, truth: Truth | None) -> tuple[Tensor, list[Angle]]:
+    """Numbers (k) of the registered images, and their roll, pitch and heading.
+
+    Roll and pitch say by how much the right and the lower side of the image dip below the horizontal, so both are 0 of
+    a camera that looks straight down. The reconstruction's heading is free: what is measured and true is turned by the
+    mean difference. Heading is left out where nothing says what it was.
+    """
+    images = scene.registered.nonzero()[:, 0]
+    down, heading = split_heading(scene.rotation[images])
+    heading = heading[:1] + torch.cat((heading.new_zeros(1), _shortest(heading.diff()))).cumsum(dim=0)
+    sensed_down = sensed_heading = true_down = true_heading = None
+    if capture is not None and capture.names == scene.names:
+        if capture.has_gravity:
+            sensed_down = capture.down_in_cam[images]
+        if capture.has_heading:
+            sensed_heading = capture.heading[images].rad2deg()
+    if truth is not None:
+        true_down, turn = split_heading(_true_rotations(scene, truth, images))
+        true_heading = turn.rad2deg()
+    angles = [
+        Angle(name, _dip(down, axis), *(None if d is None else _dip(d, axis) for d in (sensed_down, true_down)))
+        for name, axis in (("roll", 0), ("pitch", 1))
+    ]
+    if sensed_heading is not None or true_heading is not None:
+        degrees = heading.rad2deg()
+        angles.append(Angle("heading", degrees, _turned_to(degrees, sensed_heading), _turned_to(degrees, true_heading)))
+    return images, angles
+
+
+def attitude_figure(images: Tensor, angles: Sequence[Angle], count: int) -> Any:
+    """A row an angle: on the left what it is, on the right by how much estimated and known differ."""
+    from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
+
+    figure, grid = panels(len(angles), 2, 0.7 + 1.75 * len(angles), sharex="col", width_ratios=(1.0, 1.0))
+    numbers = (images + 1).numpy()
+    for (values, errors), angle in zip(grid, angles, strict=True):
+        if angle.true is not None:
+            values.plot(numbers, angle.true.numpy(), "-", color=TRUE, lw=1.5, zorder=2)
+        if angle.measured is not None:
+            values.plot(numbers, angle.measured.numpy(), "s", mfc="none", color=MEASURED, ms=7, zorder=3)
+        values.plot(numbers, angle.estimated.numpy(), "o", color=ESTIMATE, ms=4, zorder=4)
+        values.set_ylabel(f"{angle.name} (°)", fontsize=10)
+        errors.axhline(0.0, color="#9aa1a8", lw=1.0)
+        for reference, color, marker in ((angle.measured, MEASURED, "s"), (angle.true, TRUE, "D")):
+            error = angle.error(reference)
+            if error is not None:
+                errors.plot(numbers, error.numpy(), marker, color=color, ms=5, mfc="none" if marker == "s" else color)
+    grid[0][0].set_title("angle", fontsize=11)
+    grid[0][1].set_title("estimated minus known", fontsize=11)
+    for panel in grid[-1]:
+        number_images(panel, count)
+    handles = [Line2D([], [], marker="o", ls="", color=ESTIMATE, label="estimated")]
+    if any(angle.measured is not None for angle in angles):
+        handles.append(Line2D([], [], marker="s", ls="", mfc="none", color=MEASURED, label="measured (IMU)"))
+    if any(angle.true is not None for angle in angles):
+        handles.append(Line2D([], [], marker="D", ms=4, color=TRUE, label="true"))
+    legend_above(figure, handles)
+    return figure
+
+
+def attitude_words(angles: Sequence[Angle]) -> str:
+    """RMS of the differences, in one sentence."""
+    told = []
+    for name, pick in (("the IMU", "measured"), ("the truth", "true")):
+        errors = [(a.name, a.error(getattr(a, pick))) for a in angles]
+        known = [f"{n} {rounded(_rms(e))}°" for n, e in errors if e is not None and bool(e.isfinite().any())]
+        if known:
+            told.append(f"against {name} {', '.join(known)}")
+    return f"RMS differences {'; '.join(told)}." if told else ""
+
+
+def wrapped(degrees: Tensor) -> Tensor:
+    """The same angles between -180 and 180 degrees."""
+    return torch.remainder(degrees + 180.0, 360.0) - 180.0
+
+
+def _shortest(turns: Tensor) -> Tensor:
+    return wrapped(turns.rad2deg()).deg2rad()
+
+
+def _rms(values: Tensor) -> float:
+    return math.sqrt(float(values[values.isfinite()].square().mean()))
+
+
+def _dip(down: Tensor, axis: int) -> Tensor:
+    return down[:, axis].clamp(-1.0, 1.0).asin().rad2deg()
+
+
+def _true_rotations(scene: Reconstruction, truth: Truth, images: Tensor) -> Tensor:
+    """cam_from_world (k, 3, 3); NaN where the truth does not have the image."""
+    rotation = torch.full((len(images), 3, 3), torch.nan, dtype=torch.float64)
+    for row, i in enumerate(images.tolist()):
+        if scene.names[i] in truth.names:
+            rotation[row] = truth.rotation[truth.names.index(scene.names[i])]
+    return rotation
+
+
+def _turned_to(estimated: Tensor, reference: Tensor | None) -> Tensor | None:
+    """The reference turned by the mean difference, on the branch next to the estimated heading."""
+    if reference is None:
+        return None
+    difference = (estimated - reference).deg2rad()
+    known = difference.isfinite()
+    mean = torch.atan2(difference[known].sin().mean(), difference[known].cos().mean()).rad2deg()
+    return estimated - wrapped(estimated - reference - mean)

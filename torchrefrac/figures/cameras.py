@@ -1,0 +1,123 @@
+"""The paper's Figure 5: where the cameras were, and what they saw."""
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchrefrac.figures.panels import OUTLINE, blank_figure, color_bar, outlines
+from torchrefrac.figures.plotting import SECOND, WIDTH, height_colors, legend_above
+from torchrefrac.figures.side_views import INK, WATER
+from torchrefrac.scene import Reconstruction, Truth
+
+TURN_DEG, RISE_DEG = 30.0, 28.0  # from where the oblique view looks
+SLIM, TALL = 0.35, 1.15  # a panel, its height over its width
+TAILS = (0.01, 0.99)
+
+
+def cameras_figure(shown: Reconstruction, truth: Truth | None) -> Any:
+    """Cloud and cameras from above and obliquely, one panel each, the cameras as the pyramids of what they see.
+
+    A line joins the cameras in the order of the images; crosses are the true centres, where `truth` has them.
+    """
+    from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - slow to import
+    from matplotlib.colors import Normalize  # noqa: PLC0415
+    from matplotlib.lines import Line2D  # noqa: PLC0415
+
+    unit, height = shown.length_unit, shown.points[:, 2]
+    low, high = (float(height.quantile(tail)) for tail in TAILS) if len(height) else (0.0, 1.0)
+    colored = ScalarMappable(Normalize(low, max(high, low + 1e-9)), height_colors())
+    frames = (torch.eye(3, dtype=torch.float64), _oblique())
+    limits = [_limits(shown, truth, frame) for frame in frames]
+    widths = [x[1] - x[0] for x, _ in limits]
+    tall = max((y[1] - y[0]) / (x[1] - x[0]) for x, y in limits)
+    figure = blank_figure(WIDTH + 1.0, 0.9 + 0.45 * WIDTH * min(max(tall, SLIM), TALL))
+    views = figure.subplots(1, 2, gridspec_kw={"width_ratios": [math.sqrt(w / max(widths)) for w in widths]})
+    for panel, frame, (x, y) in zip(views, frames, limits, strict=True):
+        _draw(panel, shown, truth, frame, colored)
+        panel.set(xlim=x, ylim=y, aspect="equal")
+        panel.tick_params(labelsize=8)
+    views[0].set_title("from above", fontsize=11)
+    views[0].set_xlabel(f"x ({unit})", fontsize=10)
+    views[0].set_ylabel(f"y ({unit})", fontsize=10)
+    views[1].set_title("obliquely", fontsize=11)
+    views[1].set_xticks([])
+    views[1].set_yticks([])
+    for spine in views[1].spines.values():
+        spine.set_visible(False)
+    color_bar(figure, colored, list(views), f"height ({unit})")
+    handles = [Line2D([], [], color=INK, lw=1.2, label="cameras"), Line2D([], [], color=WATER, lw=1.0, label="path")]
+    if truth is not None:
+        handles.append(Line2D([], [], marker="+", ls="", color=SECOND, label="true camera centres"))
+        if len(truth.corner):
+            handles.append(Line2D([], [], color=OUTLINE, lw=1.5, label="true planes"))
+    legend_above(figure, handles)
+    return figure
+
+
+def _draw(panel: Any, shown: Reconstruction, truth: Truth | None, frame: Tensor, colored: Any) -> None:
+    from matplotlib.collections import LineCollection  # noqa: PLC0415
+
+    seen = shown.points @ frame.mT
+    order = seen[:, 2].argsort()
+    right, up, _ = seen[order].numpy().T
+    panel.scatter(
+        right, up, c=shown.points[order, 2].numpy(), norm=colored.norm, cmap=colored.cmap,
+        s=min(max(1.2e4 / max(len(order), 1), 0.8), 6.0), linewidths=0, zorder=2,
+    )  # fmt: skip
+    for corners in outlines(truth):
+        x, y, _ = (corners @ frame.mT).numpy().T
+        panel.plot(x, y, "-", color=OUTLINE, lw=1.2, zorder=1)
+    centers = shown.center[shown.registered] @ frame.mT
+    panel.plot(*centers[:, :2].numpy().T, "-", color=WATER, lw=1.0, zorder=3)
+    lines = (pyramids(shown) @ frame.mT)[..., :2].numpy()
+    panel.add_collection(LineCollection(list(lines), colors=INK, linewidths=0.9, zorder=4))
+    if truth is not None:
+        x, y, _ = (truth.center @ frame.mT).numpy().T
+        panel.plot(x, y, "+", ms=6, color=SECOND, zorder=5)
+    numbers = (shown.registered.nonzero()[:, 0] + 1).tolist()
+    for i in {0, len(numbers) - 1}:
+        at = (float(centers[i, 0]), float(centers[i, 1]))
+        panel.annotate(str(numbers[i]), at, (6, 6), textcoords="offset points", fontsize=9, color=INK, zorder=6)
+
+
+def pyramids(shown: Reconstruction) -> Tensor:
+    """Lines (4 k, 4, 3) of the k registered cameras: from the centre to two neighbouring corners of the image and back,
+    so long that neighbouring cameras just do not touch."""
+    lens, centers = shown.intrinsics, shown.center[shown.registered]
+    width, height = float(lens.width), float(lens.height)
+    corners = centers.new_tensor(((0.0, 0.0), (width, 0.0), (width, height), (0.0, height)))
+    plane = lens.plane_from_pixels(corners)
+    rays = torch.cat((plane, torch.ones_like(plane[:, :1])), dim=-1)
+    apart = torch.cdist(centers, centers) + torch.diag(centers.new_full((len(centers),), torch.inf))
+    extent = float((centers.amax(dim=0) - centers.amin(dim=0)).max())
+    nearest = float(apart.amin(dim=-1).median()) if len(centers) > 1 else 1.0
+    size = 0.5 * min(max(nearest, 0.08 * extent), 0.3 * max(extent, nearest)) / float(rays.norm(dim=-1).max())
+    ends = centers[:, None] + size * rays @ shown.rotation[shown.registered]
+    apex = centers[:, None].expand_as(ends)
+    return torch.stack((apex, ends, ends.roll(-1, dims=1), apex), dim=2).flatten(0, 1)
+
+
+def _oblique() -> Tensor:
+    turn, rise = math.radians(TURN_DEG), math.radians(RISE_DEG)
+    right = torch.tensor((math.cos(turn), math.sin(turn), 0.0), dtype=torch.float64)
+    level = torch.tensor((math.sin(turn), -math.cos(turn), 0.0), dtype=torch.float64)
+    above = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
+    return torch.stack(
+        (right, math.cos(rise) * above - math.sin(rise) * level, math.sin(rise) * above + math.cos(rise) * level)
+    )
+
+
+def _limits(
+    shown: Reconstruction, truth: Truth | None, frame: Tensor
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Of cameras, true planes, and all but stray points."""
+    parts = [pyramids(shown).flatten(0, 1) @ frame.mT, outlines(truth).flatten(0, 1) @ frame.mT]
+    if len(shown.points):
+        parts.append((shown.points @ frame.mT).quantile(torch.tensor(TAILS, dtype=torch.float64), dim=0))
+    every = torch.cat(parts)[:, :2]
+    low, high = every.amin(dim=0), every.amax(dim=0)
+    margin = 0.04 * (high - low).max().clamp(min=1e-9)
+    ends = torch.stack((low - margin, high + margin), dim=-1).tolist()
+    return (ends[0][0], ends[0][1]), (ends[1][0], ends[1][1])

@@ -1,0 +1,136 @@
+"""Photographs with what was found in them, for a person who watches a run: matches of pairs, residuals of images."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrefrac.features import Features
+from torchrefrac.files.capture import read_color
+from torchrefrac.recorder import Recorder
+from torchrefrac.scene import Capture, Reconstruction
+from torchrefrac.sfm import VerifiedPair
+
+WIDTH = 1200  # of a picture, pixels
+MOST_PAIRS, MOST_LINES = 3, 120
+MOST_IMAGES = 6
+FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)  # by which residuals may be exaggerated
+READABLE = WIDTH / 100  # how long a median residual should be in a picture, pixels
+STRIP = 30  # height of the strip with text, pixels
+YELLOW, GREEN = (255, 220, 0), (70, 230, 120)
+
+
+def record_matches(
+    capture: Capture, features: Sequence[Features], pairs: Sequence[VerifiedPair], recorder: Recorder
+) -> None:
+    """Pictures of the pairs with most inliers, none of which shares an image with another where that is possible; the
+    photographs are read for them. Nothing where the recorder wants none."""
+    if not recorder.wants_pictures:
+        return
+    for step, pair in enumerate(_best(pairs)):
+        first, second = pair.pair.first, pair.pair.second
+        one, two = (features[image].pixels[pair.pair.matches[:, k]] for k, image in enumerate((first, second)))
+        picture = match_picture(read_color(capture.paths[first]), read_color(capture.paths[second]), one, two)
+        names = " - ".join(capture.names[image] for image in (first, second))
+        _write(picture, f"{names}: {len(pair.pair)} of {pair.num_putative} matches agree on a pose")
+        recorder.picture(f"matches/{step + 1}", torch.from_numpy(picture), 0)
+
+
+def record_residuals(capture: Capture, reconstruction: Reconstruction, recorder: Recorder) -> None:
+    """Pictures of the residuals of a few images, spread over those that are registered. Nothing where the recorder
+    wants none."""
+    if not recorder.wants_pictures:
+        return
+    rows, residuals = _residuals(reconstruction)
+    image, pixels = reconstruction.image[rows], reconstruction.pixels[rows]
+    factor = exaggeration(residuals, capture.intrinsics.width)
+    for i in spread(reconstruction.registered.nonzero()[:, 0], MOST_IMAGES).tolist():
+        here = image == i
+        picture = residual_picture(read_color(capture.paths[i]), pixels[here], residuals[here], factor)
+        median = float(residuals[here].norm(dim=-1).median()) if bool(here.any()) else 0.0
+        told = f"{int(here.sum())} residuals {factor} times as long, median {median:.2f} px"
+        _write(picture, f"{capture.names[i]}: {told}")
+        recorder.picture(f"residuals/{Path(capture.names[i]).with_suffix('')}", torch.from_numpy(picture), 0)
+
+
+def match_picture(first: np.ndarray, second: np.ndarray, one: Tensor, two: Tensor) -> np.ndarray:
+    """Two photographs (h, w, 3) BGR side by side, with pixels one and two (k, 2) joined by lines, of at most about
+    a hundred matches; (H, WIDTH, 3) uint8 RGB."""
+    left, right = _narrow(first, WIDTH // 2), _narrow(second, WIDTH // 2)
+    height = max(len(left), len(right))
+    picture = np.zeros((height, WIDTH, 3), dtype=np.uint8)
+    picture[: len(left), : WIDTH // 2] = left
+    picture[: len(right), WIDTH // 2 :] = right
+    chosen = spread(torch.arange(len(one)), MOST_LINES)
+    from_left = one[chosen] * (WIDTH / 2 / first.shape[1])
+    from_right = two[chosen] * (WIDTH / 2 / second.shape[1]) + two.new_tensor((WIDTH / 2, 0.0))
+    _lines(picture, from_left, from_right, GREEN)
+    return picture
+
+
+def residual_picture(photograph: np.ndarray, pixels: Tensor, residuals: Tensor, factor: float) -> np.ndarray:
+    """A photograph (h, w, 3) BGR, darkened, with residuals (k, 2) at pixels (k, 2), both of the photograph, as lines
+    `factor` times as long; (H, WIDTH, 3) uint8 RGB."""
+    picture = _narrow(photograph, WIDTH) // 2
+    scale = WIDTH / photograph.shape[1]
+    start = pixels * scale
+    _lines(picture, start, start + factor * scale * residuals, YELLOW)
+    return picture
+
+
+def exaggeration(residuals: Tensor, width: int) -> int:
+    """The round factor at which a median residual (N, 2) of an image of this width is about READABLE pixels long."""
+    if not len(residuals):
+        return 1
+    wanted = READABLE / max(float(residuals.norm(dim=-1).median()) * WIDTH / width, 1e-9)
+    return min(FACTORS, key=lambda factor: abs(np.log(factor / wanted)))
+
+
+def spread(items: Tensor, most: int) -> Tensor:
+    """At most `most` of the items (n), evenly spread over them."""
+    if len(items) <= most:
+        return items
+    return items[torch.linspace(0.0, len(items) - 1.0, most).round().long()]
+
+
+def _best(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
+    ordered = sorted(pairs, key=lambda pair: -len(pair.pair))
+    best: list[VerifiedPair] = []
+    seen: set[int] = set()
+    for pair in ordered:
+        if not seen & {pair.pair.first, pair.pair.second}:
+            best.append(pair)
+            seen |= {pair.pair.first, pair.pair.second}
+    rest = [pair for pair in ordered if pair not in best]
+    return (best + rest)[:MOST_PAIRS]
+
+
+def _residuals(reconstruction: Reconstruction) -> tuple[Tensor, Tensor]:
+    """Which observations can be projected, and by how much the projection misses them (k, 2)."""
+    projected, valid = reconstruction.cameras[reconstruction.image].project(reconstruction.points[reconstruction.point])
+    rows = valid.nonzero()[:, 0]
+    return rows, projected[rows] - reconstruction.pixels[rows]
+
+
+def _narrow(photograph: np.ndarray, width: int) -> np.ndarray:
+    """(h, width, 3) RGB of the photograph, BGR."""
+    height = round(photograph.shape[0] * width / photograph.shape[1])
+    method = cv2.INTER_AREA if width < photograph.shape[1] else cv2.INTER_LINEAR
+    return cv2.cvtColor(cv2.resize(photograph, (width, height), interpolation=method), cv2.COLOR_BGR2RGB)
+
+
+def _lines(picture: np.ndarray, start: Tensor, end: Tensor, color: tuple[int, int, int]) -> None:
+    """Lines from start to end (k, 2), with a dot at each start; pixel centres of the picture are at halves."""
+    both = ((torch.stack((start, end), dim=1) - 0.5).clamp(-1e5, 1e5)).round().int().numpy()
+    cv2.polylines(picture, list(both), False, color, 1, cv2.LINE_AA)
+    for x, y in both[:, 0].tolist():
+        cv2.circle(picture, (x, y), 1, color, -1)
+
+
+def _write(picture: np.ndarray, text: str) -> None:
+    """A line of text in a dark strip at the top."""
+    picture[:STRIP] //= 4
+    cv2.putText(picture, text, (10, STRIP - 9), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)

@@ -1,0 +1,186 @@
+"""Panels of points side by side, in rows that look at them from different sides."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchrefrac.atomic import replacing
+from torchrefrac.figures.side_views import INK, PANEL_INCHES, WATER, corners_of
+from torchrefrac.scene.truth import Truth
+
+EMPTY, OUTLINE = "#d4d4d4", "#8c8c8c"
+GOLDEN = 0.6180339887498949  # its multiples fill the interval from 0 to 1 evenly, modulo 1
+SLIMMEST = 0.2  # a panel, its shorter side over its longer one
+
+
+class Column(NamedTuple):
+    """What both rows of a figure show of one reconstruction; values (n) give the points (n, 3) their colour."""
+
+    title: str
+    caption: str
+    points: Tensor
+    values: Tensor
+    centers: Tensor
+    has_water: bool
+    unit: str
+
+
+class Row(NamedTuple):
+    """How one row of a figure looks at the scene.
+
+    frame (3, 3): rows right, up and towards the viewer; labels: of the axes, without them a bar shows the scale;
+    has_cameras: whether cameras and water are drawn; paper: colour behind the points.
+    """
+
+    frame: Tensor
+    labels: tuple[str, str] | None
+    has_cameras: bool
+    paper: str
+
+
+def draw_grid(
+    columns: Sequence[Column],
+    rows: Sequence[Row],
+    truth: Truth | None,
+    colors: tuple[str, float, float, str],
+    path: Path,
+) -> None:
+    """A grid of panels, a column a reconstruction, and a row a way to look at it; colours: map, ends, label."""
+    from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - slow to import
+    from matplotlib.colors import Normalize  # noqa: PLC0415
+
+    name, low, high, label = colors
+    limits = [_limits(columns, row, truth) for row in rows]
+    ratios = [(y[1] - y[0]) / (x[1] - x[0]) for x, y in limits]
+    lines = max(column.caption.count("\n") for column in columns) + 2
+    labels = 0.55 * sum(row.labels is not None for row in rows) + 0.16 * lines
+    figure = blank_figure(1.6 + PANEL_INCHES * len(columns), 0.75 + labels + PANEL_INCHES * sum(ratios))
+    grid = figure.subplots(
+        len(rows), len(columns), sharex="row", sharey="row", squeeze=False, gridspec_kw={"height_ratios": ratios}
+    )
+    colored = ScalarMappable(Normalize(low, high), name)
+    for panels, row, (x, y) in zip(grid, rows, limits, strict=True):
+        for panel, column in zip(panels, columns, strict=True):
+            _draw_points(panel, column, row, colored, blur=0.01 * (x[1] - x[0]))
+            _draw_surroundings(panel, column, row, truth)
+            panel.set(xlim=x, ylim=y, aspect="equal", facecolor=row.paper)
+            panel.tick_params(labelsize=8)
+            if row.labels is None:
+                _scale_bar(panel, x, y, columns[0].unit)
+            else:
+                panel.set_xlabel(row.labels[0], fontsize=10)
+        if row.labels is not None:
+            panels[0].set_ylabel(row.labels[1], fontsize=10)
+    for top, bottom, column in zip(grid[0], grid[-1], columns, strict=True):
+        top.set_title(column.title, fontsize=13)
+        bottom.set_xlabel(f"{bottom.get_xlabel()}\n{column.caption}", fontsize=10)
+    color_bar(figure, colored, list(grid.flat), label)
+    _legend(figure, columns, rows, truth)
+    with replacing(path) as temporary:
+        figure.savefig(temporary)
+
+
+def _draw_points(panel: Any, column: Column, row: Row, colored: Any, blur: float) -> None:
+    """The farthest first, so that near ones hide them; each about as large as its share of the panel.
+
+    Far within `blur` of each other their order is arbitrary: else, from above, the highest of a surface would win.
+    """
+    right, up, near = (column.points @ row.frame.mT).unbind(dim=-1)
+    order = (near + blur * (GOLDEN * torch.arange(len(near), dtype=near.dtype)).frac()).argsort()
+    size = min(max(2.5e5 / max(len(order), 1), 1.5), 7.0)
+    panel.scatter(
+        right[order].numpy(), up[order].numpy(), c=column.values[order].numpy(), norm=colored.norm, cmap=colored.cmap,
+        s=size, linewidths=0, antialiased=False, rasterized=True, zorder=3,
+    )  # fmt: skip
+
+
+def _draw_surroundings(panel: Any, column: Column, row: Row, truth: Truth | None) -> None:
+    """The outlines of the true planes, and the cameras and the water where the row has them."""
+    for corners in outlines(truth):
+        right, up, _ = (corners @ row.frame.mT).unbind(dim=-1)
+        panel.plot(right.numpy(), up.numpy(), "-", color=OUTLINE, lw=1.5, zorder=1)
+    if row.has_cameras:
+        right, up, _ = (column.centers @ row.frame.mT).unbind(dim=-1)
+        panel.plot(right.numpy(), up.numpy(), "^", ms=5, mfc="none", mec=INK, zorder=4)
+        if column.has_water:
+            panel.axhline(0.0, color=WATER, lw=1.2, zorder=2)
+
+
+def _scale_bar(panel: Any, x: tuple[float, float], y: tuple[float, float], unit: str) -> None:
+    """In place of axes, as an oblique view has none: a length that holds for whatever lies across the view."""
+    width, height = x[1] - x[0], y[1] - y[0]
+    length = rounded_up(0.1 * width)
+    start, level = x[0] + 0.04 * width, y[0] + 0.05 * height
+    panel.plot((start, start + length), (level, level), "-", color=INK, lw=2.0, zorder=5)
+    panel.text(start + 0.5 * length, level + 0.015 * height, f"{length:g} {unit}", ha="center", va="bottom", fontsize=9)
+    panel.set_xticks([])
+    panel.set_yticks([])
+
+
+def _legend(figure: Any, columns: Sequence[Column], rows: Sequence[Row], truth: Truth | None) -> None:
+    from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
+
+    handles = []
+    if any(row.has_cameras for row in rows):
+        handles.append(Line2D([], [], marker="^", ls="", mfc="none", mec=INK, label="cameras"))
+        if any(column.has_water for column in columns):
+            handles.append(Line2D([], [], color=WATER, label="water surface"))
+    if len(outlines(truth)):
+        handles.append(Line2D([], [], color=OUTLINE, lw=1.5, label="true planes"))
+    if handles:
+        figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=9, frameon=False)
+
+
+def color_bar(figure: Any, colored: Any, panels: list[Any], label: str) -> None:
+    bar = figure.colorbar(colored, ax=panels, pad=0.01, aspect=30, fraction=0.15 / len(panels), extend="both")
+    bar.set_label(label, fontsize=10)
+    bar.ax.tick_params(labelsize=8)
+
+
+def blank_figure(width: float, height: float) -> Any:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=(width, height), dpi=150)
+    figure.set_layout_engine("constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _limits(
+    columns: Sequence[Column], row: Row, truth: Truth | None
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Horizontal and vertical range of a row: true planes, all but stray points, and what else the row has."""
+    shown = [outlines(truth).flatten(0, 1) @ row.frame.mT]
+    for column in columns:
+        points = column.points @ row.frame.mT
+        if len(points):
+            shown.append(points.quantile(torch.tensor((0.001, 0.999), dtype=points.dtype), dim=0))
+        if row.has_cameras:
+            shown += [column.centers @ row.frame.mT, torch.zeros(1, 3, dtype=torch.float64)]
+    every = torch.cat(shown)[:, :2]
+    every = every if len(every) else torch.zeros(1, 2, dtype=torch.float64)
+    low, high = every.amin(dim=0), every.amax(dim=0)
+    half = 0.56 * (high - low)
+    half = half.clamp(min=SLIMMEST * float(half.max())) if half.max() > 0.0 else torch.ones_like(half)
+    ends = torch.stack((0.5 * (low + high) - half, 0.5 * (low + high) + half), dim=-1).tolist()
+    return (ends[0][0], ends[0][1]), (ends[1][0], ends[1][1])
+
+
+def outlines(truth: Truth | None) -> Tensor:
+    """Closed outlines (k, 5, 3) of the true planes."""
+    if truth is None or not len(truth.corner):
+        return torch.zeros(0, 5, 3, dtype=torch.float64)
+    return corners_of(truth)[:, (0, 1, 2, 3, 0)]
+
+
+def rounded_up(value: float) -> float:
+    """1, 2, 5 or 10 times a power of ten; 1 for 0."""
+    if value <= 0.0:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if value <= step * power * (1.0 + 1e-9))

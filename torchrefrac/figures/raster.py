@@ -1,0 +1,104 @@
+"""A map of the depth of the surface."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrefrac.atomic import replacing
+from torchrefrac.figures.side_views import INK
+from torchrefrac.scene.raster import Raster
+
+EMPTY = "#e3e1dc"
+LONG_SIDE_INCHES, BAR_INCHES, MOST_PIXELS, WIDE = 7.0, 0.18, 1600, 3.0
+TAILS = (0.005, 0.995)
+SHADE = 0.35  # how much darker than a lit slope one in the shade is
+SUN_AZIMUTH_DEG, SUN_ALTITUDE_DEG = 315.0, 45.0
+
+
+def draw_raster(raster: Raster, path: Path) -> None:
+    """Draw the depth of a raster as a shaded map: north up, x and y of the world frame, light from the north-west.
+
+    The colours span all depths but the half per cent at either end; cells without a surface are grey, and a white line
+    is the shore. A raster of many cells is drawn with every k-th of them.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
+    from matplotlib.cm import ScalarMappable  # noqa: PLC0415
+    from matplotlib.colors import Normalize, to_rgb  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    rows, columns = raster.height.shape
+    step = max(1, math.ceil(max(rows, columns) / MOST_PIXELS))
+    depth, valid = raster.depth[::step, ::step].cpu(), raster.valid[::step, ::step].cpu()
+    low, high, extend = _range(depth[valid])
+    colors = ScalarMappable(Normalize(low, high), cmap="viridis_r")
+
+    size = raster.cell_size
+    width, height = max(columns, 1) * size, max(rows, 1) * size
+    across, up = (max(side * LONG_SIDE_INCHES / max(width, height), BAR_INCHES) for side in (width, height))
+    figure = Figure(figsize=(across, up), dpi=150)  # the panel; what stands around it is added when it is saved
+    FigureCanvasAgg(figure)
+    panel = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    if depth.numel():
+        lit = torch.from_numpy(colors.to_rgba(depth.numpy())[..., :3]) * _light(depth, valid, step * size)[..., None]
+        picture = lit.where(valid[..., None], torch.tensor(to_rgb(EMPTY), dtype=torch.float64))
+        right, bottom = raster.x_west + depth.shape[1] * step * size, raster.y_north - depth.shape[0] * step * size
+        panel.imshow(picture.numpy(), extent=(raster.x_west, right, bottom, raster.y_north), interpolation="nearest")
+    if low < 0.0 < high and min(depth.shape) > 1:
+        x, y, hidden = raster.x[::step].cpu().numpy(), raster.y[::step].cpu().numpy(), ~valid.numpy()
+        panel.contour(x, y, np.ma.masked_array(depth.numpy(), hidden), [0.0], colors="white", linewidths=0.9)
+    panel.set(xlim=(raster.x_west, raster.x_west + width), ylim=(raster.y_north - height, raster.y_north))
+    panel.set_facecolor(EMPTY)
+    panel.set_aspect("equal")
+    unit = raster.length_unit
+    panel.set_xlabel(f"x ({unit})", fontsize=10)
+    panel.set_ylabel(f"y ({unit})", fontsize=10)
+    panel.tick_params(labelsize=8, color=INK)
+    share = float(raster.valid.double().mean()) if raster.valid.numel() else 0.0
+    panel.set_title(f"Depth below the water surface\n{size:g} {unit} cells, {share:.0%} with a surface", fontsize=10)
+    if width > WIDE * height:
+        beside = figure.add_axes((0.0, -0.85 / up, 1.0, BAR_INCHES / up))
+        bar = figure.colorbar(colors, cax=beside, extend=extend, orientation="horizontal")
+    else:
+        beside = figure.add_axes((1.0 + 0.12 / across, 0.0, BAR_INCHES / across, 1.0))
+        bar = figure.colorbar(colors, cax=beside, extend=extend)
+        bar.ax.invert_yaxis()
+    bar.set_label(f"depth ({unit})", fontsize=10)
+    bar.ax.tick_params(labelsize=8)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, bbox_inches="tight", pad_inches=0.1)
+
+
+def _range(depth: Tensor) -> tuple[float, float, str]:
+    """The depths (n) that the colours span, and at which ends there are others."""
+    if not len(depth):
+        return 0.0, 1.0, "neither"
+    ordered = depth.sort().values
+    low, high = (float(ordered[round(part * (len(depth) - 1))]) for part in TAILS)
+    beyond = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
+    extend = beyond[bool(ordered[0] < low), bool(ordered[-1] > high)]
+    margin = 0.05 * max(abs(low), 1e-3) if high == low else 0.0
+    return low - margin, high + margin, extend
+
+
+def _light(depth: Tensor, valid: Tensor, size: float) -> Tensor:
+    """(rows, columns): at most 1; how bright the surface is in light from the north-west (Lambert's cosine law)."""
+    east, south = (_slope(depth, valid, size, axis) for axis in (1, 0))
+    azimuth, altitude = math.radians(SUN_AZIMUTH_DEG), math.radians(SUN_ALTITUDE_DEG)
+    sun = (math.sin(azimuth) * math.cos(altitude), math.cos(azimuth) * math.cos(altitude), math.sin(altitude))
+    # The normal of the surface z = -depth, with y to the north, is (east, -south, 1) before it is made a unit vector.
+    cosine = (sun[0] * east - sun[1] * south + sun[2]) / (east**2 + south**2 + 1.0).sqrt()
+    return 1.0 - SHADE * (1.0 - cosine.clamp(min=0.0) / sun[2]).clamp(0.0, 1.0)
+
+
+def _slope(depth: Tensor, valid: Tensor, size: float, axis: int) -> Tensor:
+    """Change of depth per length along an axis, central where both neighbours are valid, else zero."""
+    slope = torch.zeros_like(depth)
+    inner = depth.shape[axis] - 2
+    if inner > 0:
+        rise = depth.narrow(axis, 2, inner) - depth.narrow(axis, 0, inner)
+        is_known = valid.narrow(axis, 2, inner) & valid.narrow(axis, 0, inner)
+        slope.narrow(axis, 1, inner).copy_((rise / (2.0 * size)).where(is_known, 0.0))
+    return slope

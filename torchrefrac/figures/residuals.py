@@ -1,0 +1,108 @@
+"""How well the points fit what the images show: by image, and by the angle at which the water was looked through."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchrefrac.figures.plotting import ESTIMATE, PALE, SECOND, legend_above, number_images, panels
+from torchrefrac.scene import Reconstruction
+
+BINS, FEWEST = 24, 20
+STEPS_DEG = (0.5, 1.0, 2.0, 2.5, 5.0)
+NINETY = 0.9
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Of N observations: the image (N), reprojection error (N) in pixels, and angle of incidence (N) in degrees."""
+
+    image: Tensor
+    error: Tensor
+    incidence: Tensor
+
+    @classmethod
+    def of(cls, scene: Reconstruction) -> "Residuals":
+        """Those of a reconstruction; observations that cannot be projected are left out."""
+        error = scene.reprojection_errors()
+        angle, valid = scene.cameras[scene.image].incidence_angle(scene.points[scene.point])
+        good = error.isfinite() & valid
+        return cls(scene.image[good], error[good], angle[good].rad2deg())
+
+    def of_image(self, image: int) -> "Residuals":
+        rows = self.image == image
+        return Residuals(self.image[rows], self.error[rows], self.incidence[rows])
+
+    def __len__(self) -> int:
+        return len(self.error)
+
+
+def by_image_figure(residuals: Residuals, registered: Tensor) -> Any:
+    """Median and 90 % bound of the reprojection error of each image."""
+    from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
+    from matplotlib.patches import Patch  # noqa: PLC0415
+
+    count = len(registered)
+    figure, grid = panels(1, 1, 2.7)
+    panel = grid[0][0]
+    parts = [residuals.of_image(i).error for i in range(count)]
+    seen = [i for i in range(count) if len(parts[i])]
+    numbers = [i + 1 for i in seen]
+    medians = [float(parts[i].median()) for i in seen]
+    upper = [float(parts[i].quantile(NINETY)) for i in seen]
+    panel.bar(numbers, medians, width=0.65, color=ESTIMATE)
+    panel.vlines(numbers, medians, upper, color=SECOND, lw=1.4)
+    panel.plot(numbers, upper, "_", color=SECOND, ms=9, mew=1.8)
+    missing = [i + 1 for i in range(count) if not bool(registered[i])]
+    handles = [Patch(color=ESTIMATE, label="median"), Line2D([], [], color=SECOND, label="90 % are below")]
+    if missing:
+        panel.plot(missing, [0.0] * len(missing), "x", color="#000000", ms=7, clip_on=False, zorder=5)
+        handles.append(Line2D([], [], marker="x", ls="", color="#000000", label="not placed"))
+    panel.grid(visible=False, axis="x")
+    panel.set_ylabel("reprojection error (px)", fontsize=10)
+    panel.set_ylim(bottom=0.0)
+    number_images(panel, count)
+    legend_above(figure, handles)
+    return figure
+
+
+def by_incidence_figure(residuals: Residuals, has_water: bool) -> Any:
+    """Median and 90 % bound of the reprojection error over the angle of incidence, and the number of observations."""
+    from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
+
+    step, start, rows = bins(residuals.incidence)
+    figure, grid = panels(2, 1, 4.0, sharex=True, height_ratios=(3.0, 1.0))
+    errors, counts = grid[0][0], grid[1][0]
+    middle = [start + (k + 0.5) * step for k in rows]
+    errors.plot(middle, [float(e.quantile(NINETY)) for e in _errors(residuals, rows)], "--", color=SECOND, lw=1.5)
+    errors.plot(middle, [float(e.median()) for e in _errors(residuals, rows)], "o-", color=ESTIMATE, lw=2.0, ms=5)
+    errors.set_ylabel("reprojection error (px)", fontsize=10)
+    errors.set_ylim(bottom=0.0)
+    counts.bar(middle, [len(rows[k]) for k in rows], width=0.9 * step, color=PALE)
+    counts.set_ylabel("observations", fontsize=10)
+    what = "angle of incidence on the water" if has_water else "angle from the vertical"
+    counts.set_xlabel(f"{what} (°)", fontsize=10)
+    legend_above(
+        figure,
+        [
+            Line2D([], [], marker="o", color=ESTIMATE, label="median"),
+            Line2D([], [], ls="--", color=SECOND, label="90 % are below"),
+        ],
+    )
+    return figure
+
+
+def _errors(residuals: Residuals, rows: dict[int, Tensor]) -> list[Tensor]:
+    return [residuals.error[chosen] for chosen in rows.values()]
+
+
+def bins(angle: Tensor) -> tuple[float, float, dict[int, Tensor]]:
+    """Width of the bins in degrees, where the first begins, and the observations in each that has enough of them."""
+    low, high = (float(angle.quantile(tail)) for tail in (0.001, 0.999))
+    step = next((step for step in STEPS_DEG if high - low <= BINS * step), STEPS_DEG[-1])
+    start = step * (low // step)
+    number = torch.div(angle - start, step, rounding_mode="floor").long()
+    least = min(FEWEST, int(torch.bincount(number.clamp(min=0)).max()))
+    rows = {k: (number == k).nonzero()[:, 0] for k in range(int((high - start) // step) + 1)}
+    return step, start, {k: chosen for k, chosen in rows.items() if len(chosen) >= least}

@@ -1,0 +1,150 @@
+"""Pictures of reconstructions. Drawn with matplotlib's object interface: no global state, no display."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchrefrac.atomic import replacing
+from torchrefrac.geometry import Similarity
+from torchrefrac.scene import Reconstruction, Truth
+
+TITLES = {"none": "No refraction", "radial": "Radial distortion", "refractive": "Refraction"}
+MODEL_COLORS = {"none": "#d55e00", "radial": "#009e73", "refractive": "#0072b2"}  # told apart by the colour-blind too
+WATER, INK, FAINT = "#2b7bba", "#222222", "#c4c4c4"
+PANEL_INCHES = 4.4
+
+
+@dataclass(frozen=True)
+class SideView:
+    """One panel: points (n, 3) and camera centres (m, 3), aligned to truth where there is one."""
+
+    title: str
+    caption: str
+    points: Tensor
+    centers: Tensor
+    length_unit: str
+    has_water: bool
+
+
+def side_view(
+    model: str, reconstruction: Reconstruction, aligned: Similarity | None, metrics: Mapping[str, Any]
+) -> SideView:
+    """The panel of a reconstruction, with its camera error (or its number of points) underneath."""
+    points, centers = reconstruction.points, reconstruction.center[reconstruction.registered]
+    unit = reconstruction.length_unit
+    if aligned is not None:
+        points, centers = aligned.apply(points), aligned.apply(centers)
+    error = metrics.get(f"camera_rms_{unit}")
+    caption = f"{len(points)} points" + (f", camera error {error:.3g} {unit} RMS" if error is not None else "")
+    known_frame = aligned is not None or reconstruction.index_ratio > 1.0
+    return SideView(TITLES.get(model, model), caption, points, centers, unit, known_frame)
+
+
+def draw_side_views(views: Sequence[SideView], truth: Truth | None, path: Path) -> None:
+    """Write the paper's Figure 1, `side_views_figure`, to a file."""
+    figure = side_views_figure(views, truth)
+    with replacing(path) as temporary:
+        figure.savefig(temporary)
+
+
+def side_views_figure(
+    views: Sequence[SideView], truth: Truth | None, colors: Any = "jet_r", panel_inches: float = PANEL_INCHES
+) -> Any:
+    """The paper's Figure 1: reconstructions side by side, seen from the side, coloured by height.
+
+    Red is the lowest point, blue the highest (or by another colour map `colors`), on one scale for all panels, which
+    are about `panel_inches` wide; the true planes are drawn as lines. The direction of sight is the horizontal one
+    along which the true planes look thinnest (without truth: along y).
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
+    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.lines import Line2D  # noqa: PLC0415
+
+    across = side_direction(truth)
+    low, high = _height_range(views, truth)
+    limits = _limits(views, truth, across)
+    width, height = (end - start for start, end in limits)
+    lines = 0.2 * max(view.caption.count("\n") for view in views)
+    figure = Figure(figsize=(1.6 + panel_inches * len(views), 1.35 + lines + panel_inches * height / width), dpi=150)
+    figure.set_layout_engine("constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(1, len(views), sharex=True, sharey=True, squeeze=False)[0]
+    for panel, view in zip(panels, views, strict=True):
+        if truth is not None:
+            _draw_planes(panel, truth, across)
+        z = view.points[:, 2].numpy()
+        dots = panel.scatter(
+            (view.points[:, :2] @ across).numpy(), z, c=z, s=2.5, cmap=colors, vmin=low, vmax=high, linewidths=0,
+            zorder=3,
+        )  # fmt: skip
+        panel.plot((view.centers[:, :2] @ across).numpy(), view.centers[:, 2].numpy(), "^", ms=5, mfc="none", mec=INK)
+        if view.has_water:
+            panel.axhline(0.0, color=WATER, lw=1.2)
+        panel.set(xlim=limits[0], ylim=limits[1], aspect="equal")
+        panel.set_title(view.title, fontsize=13)
+        panel.set_xlabel(f"horizontal ({view.length_unit})\n{view.caption}", fontsize=10)
+        panel.tick_params(labelsize=8)
+    unit = views[0].length_unit
+    panels[0].set_ylabel(f"height above the water ({unit})", fontsize=10)
+    bar = figure.colorbar(dots, ax=list(panels), pad=0.01, aspect=30)
+    bar.set_label(f"height ({unit})", fontsize=10)
+    bar.ax.tick_params(labelsize=8)
+    handles = [Line2D([], [], marker="^", ls="", mfc="none", mec=INK, label="cameras")]
+    if any(view.has_water for view in views):
+        handles.append(Line2D([], [], color=WATER, label="water surface"))
+    if truth is not None and len(truth.corner):
+        handles.append(Line2D([], [], color=FAINT, lw=3, label="true planes"))
+    figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=9, frameon=False)
+    return figure
+
+
+def side_direction(truth: Truth | None) -> Tensor:
+    """Unit horizontal direction (2) that runs from left to right in the picture."""
+    if truth is None or not len(truth.corner):
+        return torch.tensor((1.0, 0.0), dtype=torch.float64)
+    normal = truth.normal[:, :2]
+    _, vectors = torch.linalg.eigh(normal.T @ normal)
+    across = vectors[:, 1]
+    return across * torch.sign(across[across.abs().argmax()])
+
+
+def _height_range(views: Sequence[SideView], truth: Truth | None) -> tuple[float, float]:
+    if truth is not None and len(truth.corner):
+        corners = corners_of(truth)[..., 2]
+        return float(corners.min()), float(corners.max())
+    heights = torch.cat([view.points[:, 2] for view in views])
+    if not len(heights):
+        return -1.0, 0.0
+    return float(heights.quantile(0.01)), float(heights.quantile(0.99))
+
+
+def corners_of(truth: Truth) -> Tensor:
+    """(k, 4, 3)."""
+    a, b, c = truth.corner, truth.edge1, truth.edge2
+    return torch.stack((a, a + b, a + b + c, a + c), dim=1)
+
+
+def _draw_planes(panel: Any, truth: Truth, across: Tensor) -> None:
+    for corners in corners_of(truth):
+        closed = torch.cat((corners, corners[:1]))
+        panel.plot((closed[:, :2] @ across).numpy(), closed[:, 2].numpy(), "-", color=FAINT, lw=3.0, zorder=1)
+
+
+def _limits(views: Sequence[SideView], truth: Truth | None, across: Tensor) -> list[tuple[float, float]]:
+    """Horizontal and vertical range: cameras, true planes, and all but the most stray points of every panel."""
+    shown = [view.centers for view in views] + ([corners_of(truth).flatten(0, 1)] if truth is not None else [])
+    for view in views:
+        if len(view.points):
+            edges = torch.tensor((0.01, 0.99), dtype=view.points.dtype)
+            shown.append(view.points.quantile(edges, dim=0))
+    every = torch.cat((*shown, torch.zeros(1, 3, dtype=torch.float64)))
+    limits = []
+    for values in (every[:, :2] @ across, every[:, 2]):
+        low, high = float(values.min()), float(values.max())
+        margin = 0.06 * max(high - low, 1e-6)
+        limits.append((low - margin, high + margin))
+    return limits

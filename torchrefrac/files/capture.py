@@ -1,0 +1,179 @@
+"""Reading `capture.json` and checking it before anything is computed."""
+
+import math
+from pathlib import Path
+
+import cv2
+import torch
+
+from torchrefrac.camera import Intrinsics
+from torchrefrac.files.fields import Fields, read_json
+from torchrefrac.scene.capture import Capture, CaptureError
+
+FORMAT = "torchrefrac-capture/1"
+PIXEL_SHIFT = {"center": 0.5, "corner": 0.0}
+MAX_INDEX_RATIO = 3.0
+UNIT_TOLERANCE = 1e-3
+OPTICAL_AXIS = [0.0, 0.0, 1.0]
+
+
+def load_capture(folder: str | Path) -> Capture:
+    """Read `folder`/capture.json; the images lie in `folder`/images.
+
+    Raises CaptureError with one sentence for anything that cannot be right: a missing or unreadable image, an image of
+    another size, a missing or mistyped field, gravity or headings of some images only, gravity that is no unit vector,
+    a camera that looks at the sky, an index ratio below 1 or beyond any liquid, fewer than two images, a name given
+    twice.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise CaptureError(f"{folder} is not a folder; give the folder that holds capture.json and images/")
+    top = read_json(folder / "capture.json")
+    top.only("format", "length_unit", "index_ratio", "pixel_origin", "intrinsics", "down_in_cam_sigma_deg", "images")
+    if top.text("format") != FORMAT:
+        raise top.fail("format", f"is {top.text('format')!r}, but must be {FORMAT!r}")
+    intrinsics = read_intrinsics(top)
+    images = top.objects("images")
+    if len(images) < 2:
+        raise top.fail("images", f"lists {len(images)}, but a reconstruction needs at least 2")
+    names = _names(images)
+    paths = tuple(folder / "images" / name for name in names)
+    for path in paths:
+        _check_image(path, intrinsics)
+    has_gravity = any("down_in_cam" in image for image in images)
+    has_heading = any("heading_deg" in image for image in images)
+    heights = [_height(image) for image in images]
+    return Capture(
+        folder=folder,
+        names=names,
+        paths=paths,
+        intrinsics=intrinsics,
+        index_ratio=read_index_ratio(top),
+        down_in_cam=torch.tensor(
+            [_gravity(image) if has_gravity else OPTICAL_AXIS for image in images], dtype=torch.float64
+        ),
+        down_sigma=_gravity_sigma(top) if has_gravity else math.inf,
+        height=torch.tensor([height or 1.0 for height in heights], dtype=torch.float64),
+        has_height=torch.tensor([height is not None for height in heights]),
+        length_unit=top.text("length_unit"),
+        has_gravity=has_gravity,
+        heading=torch.tensor([_heading(image) if has_heading else 0.0 for image in images], dtype=torch.float64),
+        has_heading=has_heading,
+    )
+
+
+def read_intrinsics(top: Fields) -> Intrinsics:
+    """The lens that capture.json describes."""
+    fields = top.object("intrinsics")
+    fields.only("width", "height", "fx", "fy", "cx", "cy", "distortion")
+    origin = top.text("pixel_origin")
+    if origin not in PIXEL_SHIFT:
+        raise top.fail("pixel_origin", f"is {origin!r}, but must be 'center' (OpenCV) or 'corner' (COLMAP)")
+    size = {name: fields.integer(name) for name in ("width", "height")}
+    positive = {name: fields.number(name) for name in ("fx", "fy")}
+    for name, value in {**size, **positive}.items():
+        if value <= 0:
+            raise fields.fail(name, f"is {value:g}, but must be above 0")
+    shift = PIXEL_SHIFT[origin]
+    return Intrinsics.create(
+        size["width"],
+        size["height"],
+        focal=(positive["fx"], positive["fy"]),
+        principal_point=(fields.number("cx") + shift, fields.number("cy") + shift),
+        distortion=fields.numbers("distortion", 5) if "distortion" in fields else (0.0,) * 5,
+    )
+
+
+def read_index_ratio(top: Fields) -> float:
+    """The index ratio that capture.json or truth.json states."""
+    ratio = top.number("index_ratio")
+    if not 1.0 <= ratio <= MAX_INDEX_RATIO:
+        raise top.fail(
+            "index_ratio", f"is {ratio:g}, but n_water / n_air lies between 1 and {MAX_INDEX_RATIO:g} (water: 1.333)"
+        )
+    return ratio
+
+
+def _names(images: list[Fields]) -> tuple[str, ...]:
+    names: list[str] = []
+    for image in images:
+        image.only("name", "down_in_cam", "height", "heading_deg", "center_prior")
+        name = image.text("name")
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise image.fail("name", f"is {name!r}, but must name a file inside images/")
+        if name in names:
+            raise image.fail("name", f"is {name!r}, which an image before it already has; names must differ")
+        names.append(name)
+    return tuple(names)
+
+
+def _gravity_sigma(top: Fields) -> float:
+    """In radians."""
+    sigma = top.number("down_in_cam_sigma_deg")
+    if not 0.0 < sigma <= 30.0:
+        raise top.fail("down_in_cam_sigma_deg", f"is {sigma:g}, but must be above 0 and at most 30 degrees")
+    return math.radians(sigma)
+
+
+def _gravity(image: Fields) -> list[float]:
+    if "down_in_cam" not in image:
+        raise image.fail(
+            "down_in_cam", f"of {image.text('name')} is missing, but others have it; give it for all images or for none"
+        )
+    down = image.numbers("down_in_cam", 3)
+    norm = sum(x * x for x in down) ** 0.5
+    if abs(norm - 1.0) > UNIT_TOLERANCE:
+        raise image.fail("down_in_cam", f"has length {norm:.4f}, but must be a unit vector (within {UNIT_TOLERANCE:g})")
+    if down[2] <= 0.0:
+        raise image.fail(
+            "down_in_cam",
+            f"is {down}, a camera that looks at the sky; with camera z forward its third component must be above 0",
+        )
+    return [x / norm for x in down]
+
+
+def _heading(image: Fields) -> float:
+    """In radians."""
+    if "heading_deg" not in image:
+        raise image.fail(
+            "heading_deg", f"of {image.text('name')} is missing, but others have it; give it for all images or for none"
+        )
+    return math.radians(image.number("heading_deg"))
+
+
+def _height(image: Fields) -> float | None:
+    if "center_prior" in image:
+        image.numbers("center_prior", 3)
+    if "height" not in image:
+        return None
+    height = image.number("height")
+    if height <= 0.0:
+        raise image.fail("height", f"is {height:g}, but a camera stands above the water: above 0")
+    return height
+
+
+def _check_image(path: Path, intrinsics: Intrinsics) -> None:
+    if not path.is_file():
+        raise CaptureError(f"{path} does not exist, but capture.json lists it; add the image or remove its entry")
+    pixels = read_grey(path)
+    height, width = pixels.shape
+    if (width, height) != (intrinsics.width, intrinsics.height):
+        wanted = f"{intrinsics.width}x{intrinsics.height}"
+        raise CaptureError(f"{path} is {width}x{height}, but intrinsics.width and height say {wanted}")
+
+
+def read_grey(path: Path) -> cv2.typing.MatLike:
+    """8-bit grey image (height, width), as stored: no EXIF rotation."""
+    return _read(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+
+
+def read_color(path: Path) -> cv2.typing.MatLike:
+    """8-bit BGR image (height, width, 3), as stored: no EXIF rotation."""
+    return _read(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+
+
+def _read(path: Path, flags: int) -> cv2.typing.MatLike:
+    image = cv2.imread(str(path), flags)
+    if image is None:
+        raise CaptureError(f"{path} cannot be read as an image; is it a complete JPEG, PNG or TIFF file?")
+    return image

@@ -1,0 +1,1 @@
+"""COLMAP models, as text and as binary."""

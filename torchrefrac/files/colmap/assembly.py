@@ -1,0 +1,194 @@
+"""Between the tables of a COLMAP model and an `Alignment`: ids resolved, checked and given."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrefrac.files.colmap.tables import NO_POINT, CameraRow, ImageTable, PointTable, lens_of, row_of
+from torchrefrac.geometry import rotate
+from torchrefrac.geometry.rotation import _quaternion
+from torchrefrac.scene.alignment import Alignment, AlignmentError
+
+
+def assemble(
+    cameras: list[CameraRow],
+    images: ImageTable,
+    points: PointTable,
+    cameras_path: Path,
+    images_path: Path,
+    points_path: Path,
+) -> Alignment:
+    """Resolve the ids and check that the three files agree."""
+    rows = {row.id: row for row in cameras}
+    if len(rows) != len(cameras):
+        raise AlignmentError(f"{cameras_path} gives a camera id twice; export the model again")
+    used = sorted(set(images.cameras.tolist()))
+    for camera in used:
+        if camera not in rows:
+            name = images.names[int(np.argmax(images.cameras == camera))]
+            raise AlignmentError(
+                f"{images_path}: {name} has camera {camera}, which {cameras_path.name} lacks; export the model again"
+            )
+    order = _sorted_by_id(images.ids, images_path, "image")
+    _check_images(images, images_path)
+    feature, image, point = _observations(images, points, images_path, points_path)
+    _require_finite(points.positions, points_path, lambda i: f"point {points.ids[i]}", "position")
+    point_order = _sorted_by_id(points.ids, points_path, "point")
+    image, point = _ranks(order)[image], _ranks(point_order)[point]
+    by_point = np.argsort(point, kind="stable")
+    rotation = _rotation_of(torch.from_numpy(images.quaternions[order]))
+    return Alignment(
+        names=tuple(images.names[i] for i in order.tolist()),
+        lenses=tuple(lens_of(rows[camera], cameras_path) for camera in used),
+        lens=torch.from_numpy(np.searchsorted(np.array(used, dtype=np.int64), images.cameras[order])),
+        rotation=rotation,
+        center=-rotate(rotation.mT, torch.from_numpy(images.translations[order])),
+        points=torch.from_numpy(points.positions[point_order]),
+        colors=torch.from_numpy(points.colors[point_order]),
+        image=torch.from_numpy(image[by_point]),
+        point=torch.from_numpy(point[by_point]),
+        pixels=torch.from_numpy(images.pixels[feature[by_point]]),
+    ).cleaned()
+
+
+def _check_images(images: ImageTable, path: Path) -> None:
+    if len(set(images.names)) != len(images.names):
+        twice = next(name for i, name in enumerate(images.names) if name in images.names[:i])
+        raise AlignmentError(f"{path} has two images with the name {twice}; names must differ, rename one")
+
+    def record(i: int) -> str:
+        return f"image {images.ids[i]} ({images.names[i]})"
+
+    _require_finite(images.quaternions, path, record, "quaternion")
+    _require_finite(images.translations, path, record, "translation")
+    zero = ~images.quaternions.any(axis=1)
+    if zero.any():
+        raise AlignmentError(f"{path}: {record(int(zero.argmax()))} has a quaternion of length zero; export it again")
+
+
+def _observations(
+    images: ImageTable, points: PointTable, images_path: Path, points_path: Path
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Row among the features, row of the image and row of the point of each element of the tracks (N)."""
+    point = np.repeat(np.arange(len(points.ids)), points.lengths)
+    order = np.argsort(images.ids)
+    place = np.searchsorted(images.ids, points.images, sorter=order)
+    image = order[np.minimum(place, len(order) - 1)] if len(order) else np.zeros_like(place)
+
+    def refuse(wrong: np.ndarray, problem: Callable[[int], str]) -> None:
+        if wrong.any():
+            i = int(wrong.argmax())
+            raise AlignmentError(
+                f"{points_path}: the track of point {points.ids[point[i]]} has {problem(i)}; export the model again"
+            )
+
+    unknown = images.ids[image] != points.images if len(order) else np.ones(len(point), dtype=bool)
+    refuse(unknown, lambda i: f"image {points.images[i]}, which {images_path.name} lacks")
+    count = np.diff(images.starts)[image]
+    refuse(
+        (points.features < 0) | (points.features >= count),
+        lambda i: f"feature {points.features[i]} of {images.names[image[i]]}, which has {count[i]} of them",
+    )
+    feature = images.starts[image] + points.features
+    shown = images.points[feature]
+    refuse(
+        shown != points.ids[point],
+        lambda i: (
+            f"feature {points.features[i]} of {images.names[image[i]]}, "
+            f"for which {images_path.name} has point {shown[i]}"
+        ),
+    )
+    missed = images.points != NO_POINT
+    missed[feature] = False
+    if missed.any():
+        i = int(missed.argmax())
+        name = images.names[int(np.searchsorted(images.starts, i, side="right")) - 1]
+        raise AlignmentError(
+            f"{images_path}: {name} shows point {images.points[i]}, but {points_path.name} has no such point or "
+            "does not list the image in its track; export the model again"
+        )
+
+    def record(i: int) -> str:
+        return f"{images.names[image[i]]} (feature {points.features[i]})"
+
+    _require_finite(images.pixels[feature], images_path, record, "pixel")
+    return feature, image, point
+
+
+def _require_finite(values: np.ndarray, path: Path, record: Callable[[int], str], what: str) -> None:
+    finite = np.isfinite(values).all(axis=1)
+    if not finite.all():
+        i = int(finite.argmin())
+        raise AlignmentError(
+            f"{path}: {record(i)} has the {what} {values[i].tolist()}, but it must be finite; remove it"
+        )
+
+
+def _sorted_by_id(ids: np.ndarray, path: Path, kind: str) -> np.ndarray:
+    """Rows in the order of their ids, which must differ."""
+    order = np.argsort(ids)
+    repeated = np.diff(ids[order]) == 0
+    if repeated.any():
+        raise AlignmentError(
+            f"{path} gives {kind} {ids[order][int(repeated.argmax())]} twice; ids must differ, export the model again"
+        )
+    return order
+
+
+def _ranks(order: np.ndarray) -> np.ndarray:
+    """The new place of each row that is moved to `order`."""
+    ranks = np.empty_like(order)
+    ranks[order] = np.arange(len(order))
+    return ranks
+
+
+def tables_of(alignment: Alignment, errors: Tensor | None) -> tuple[list[CameraRow], ImageTable, PointTable]:
+    """The content of the files, with ids that count from 1."""
+    m, n = len(alignment), len(alignment.points)
+    image, point = _array(alignment.image), _array(alignment.point)
+    by_image = np.argsort(image, kind="stable")
+    starts = np.concatenate(([0], np.cumsum(np.bincount(image, minlength=m))))
+    quaternion = _quaternion(alignment.rotation.detach().double())
+    if errors is None:
+        errors = torch.full((n,), -1.0)
+    elif errors.shape != (n,):
+        raise AlignmentError(f"errors has shape {tuple(errors.shape)}, but must have {(n,)}, one for each point")
+    images = ImageTable(
+        names=alignment.names,
+        ids=np.arange(1, m + 1),
+        quaternions=_array(quaternion),
+        translations=_array(-rotate(_rotation_of(quaternion), alignment.center.detach().double())),
+        cameras=_array(alignment.lens) + 1,
+        starts=starts,
+        pixels=_array(alignment.pixels.double())[by_image],
+        points=point[by_image] + 1,
+    )
+    points = PointTable(
+        ids=np.arange(1, n + 1),
+        positions=_array(alignment.points.double()),
+        colors=_array(alignment.colors),
+        errors=_array(errors.double()),
+        lengths=np.bincount(point, minlength=n),
+        images=image + 1,
+        features=_ranks(by_image) - starts[image],
+    )
+    return [row_of(lens, i) for i, lens in enumerate(alignment.lenses, start=1)], images, points
+
+
+def _array(values: Tensor) -> np.ndarray:
+    return values.detach().cpu().numpy()
+
+
+def _rotation_of(quaternion: Tensor) -> Tensor:
+    """Rotation matrices (m, 3, 3) of quaternions wxyz (m, 4) of any length but zero."""
+    largest = quaternion.abs().amax(dim=-1, keepdim=True)
+    w, x, y, z = torch.nn.functional.normalize(quaternion / largest, dim=-1).unbind(dim=-1)
+    entries = (
+        *(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+        *(2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+        *(2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+    return torch.stack(entries, dim=-1).reshape(-1, 3, 3)

@@ -1,0 +1,125 @@
+"""Files of a dense reconstruction: its points as PLY, what each image sees as a NumPy archive."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrefrac.files.npz import read_arrays, write_arrays
+from torchrefrac.files.ply import DenseFileError, read_vertices, write_vertices
+from torchrefrac.scene.dense import DenseCloud, DepthMap
+
+DEPTH_MAP_FORMAT = "torchrefrac-depth-map/1"
+POSITION, NORMAL, COLOR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
+UNIT = "length_unit"
+MOST_VIEWS = 65535
+FLOAT_STEPS = 1e6  # a float32 of this many standard deviations is rounded by 0.06 of one at most
+
+
+def write_dense(cloud: DenseCloud, path: str | Path) -> None:
+    """Write a dense cloud as binary PLY: x y z nx ny nz red green blue views sigma score reference of every vertex.
+
+    Numbers are float32, colours uchar, views ushort (at most 65535), reference int32; the unit of length is a comment
+    of the header. Coordinates are float64 where one is more than a million times the median sigma, which float32 would
+    round away.
+    """
+    kind = _kind_of_coordinates(cloud.points, cloud.sigma)
+    write_vertices(
+        [
+            *((name, kind, values) for name, values in zip(POSITION, cloud.points.T, strict=True)),
+            *((name, "f4", values) for name, values in zip(NORMAL, cloud.normals.T, strict=True)),
+            *((name, "u1", values) for name, values in zip(COLOR, cloud.colors.T, strict=True)),
+            ("views", "u2", cloud.views.clamp(max=MOST_VIEWS)),
+            ("sigma", "f4", cloud.sigma),
+            ("score", "f4", cloud.score),
+            ("reference", "i4", cloud.reference),
+        ],
+        Path(path),
+        comments=(f"{UNIT} {cloud.length_unit}",),
+    )
+
+
+def load_dense(path: str | Path) -> DenseCloud:
+    """Read what `write_dense` wrote; its properties may stand in any order, among others and in any number type.
+
+    Raises DenseFileError, which names the file, where it is missing or damaged, no binary PLY file, lacks a property or
+    the comment with the unit of length, or has a coordinate that is not finite.
+    """
+    path = Path(path)
+    vertices, comments = read_vertices(path)
+    wanted = (*POSITION, *NORMAL, *COLOR, "views", "sigma", "score", "reference")
+    missing = [name for name in wanted if name not in (vertices.dtype.names or ())]
+    if missing:
+        raise DenseFileError(f"{path} is not a dense cloud: its vertices lack {', '.join(missing)}")
+    units = [comment.removeprefix(UNIT).strip() for comment in comments if comment.startswith(f"{UNIT} ")]
+    if not units:
+        raise DenseFileError(f"{path} is not a dense cloud: its header lacks the comment '{UNIT} ...'")
+
+    def column(dtype: type, *names: str) -> Tensor:
+        values = np.empty((len(vertices), len(names)), dtype=dtype)
+        for i, name in enumerate(names):
+            values[:, i] = vertices[name]
+        return torch.from_numpy(values)
+
+    cloud = DenseCloud(
+        points=column(np.float64, *POSITION),
+        normals=column(np.float64, *NORMAL),
+        colors=column(np.uint8, *COLOR),
+        sigma=column(np.float64, "sigma")[:, 0],
+        score=column(np.float64, "score")[:, 0],
+        views=column(np.int64, "views")[:, 0],
+        reference=column(np.int64, "reference")[:, 0],
+        length_unit=units[0],
+    )
+    if not cloud.points.isfinite().all():
+        raise DenseFileError(f"{path} is damaged: it has a coordinate that is not finite")
+    return cloud
+
+
+def write_depth_map(depth_map: DepthMap, path: str | Path) -> None:
+    """Write a depth map as a NumPy archive: points, depth, sigma (float32), valid, step, name and length_unit.
+
+    Points are float64 where `write_dense` would make them so.
+    """
+    valid = depth_map.valid
+    kind = _kind_of_coordinates(depth_map.points[valid], depth_map.sigma[valid])
+    write_arrays(
+        {
+            "format": np.array(DEPTH_MAP_FORMAT),
+            "name": np.array(depth_map.name),
+            "step": np.array(depth_map.step),
+            "points": depth_map.points.detach().cpu().numpy().astype(kind),
+            "depth": depth_map.depth.detach().cpu().numpy().astype(np.float32),
+            "sigma": depth_map.sigma.detach().cpu().numpy().astype(np.float32),
+            "valid": valid.cpu().numpy(),
+            "length_unit": np.array(depth_map.length_unit),
+        },
+        path,
+    )
+
+
+def load_depth_map(path: str | Path) -> DepthMap:
+    """Read what `write_depth_map` wrote, float64 again. Raises DenseFileError where the file is missing or damaged."""
+    found = read_arrays(
+        path,
+        DEPTH_MAP_FORMAT,
+        {"name": "", "step": "", "points": "hw3", "depth": "hw", "sigma": "hw", "valid": "hw", "length_unit": ""},
+    )
+    return DepthMap(
+        name=str(found["name"]),
+        step=int(found["step"]),
+        points=torch.from_numpy(found["points"].astype(np.float64)),
+        depth=torch.from_numpy(found["depth"].astype(np.float64)),
+        sigma=torch.from_numpy(found["sigma"].astype(np.float64)),
+        valid=torch.from_numpy(found["valid"].astype(np.bool_)),
+        length_unit=str(found["length_unit"]),
+    )
+
+
+def _kind_of_coordinates(points: Tensor, sigma: Tensor) -> str:
+    """NumPy type of coordinates (n, 3) with standard deviations (n): float32 unless that rounds by more than sigma."""
+    exact = sigma[sigma > 0.0]
+    if not len(points) or not len(exact):
+        return "f4"
+    return "f8" if float(points.abs().max()) > FLOAT_STEPS * float(exact.median()) else "f4"

@@ -1,0 +1,104 @@
+"""PLY files of points: binary, one record of plain numbers a vertex, read and written without a loop over them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from torch import Tensor
+
+from torchrefrac.atomic import replacing
+
+TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"float": "f4", "double": "f8"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
+    **{"float32": "f4", "float64": "f8"},
+}
+NAMES = {
+    "i1": "char",
+    "u1": "uchar",
+    "i2": "short",
+    "u2": "ushort",
+    "i4": "int",
+    "u4": "uint",
+    "f4": "float",
+    "f8": "double",
+}
+BYTE_ORDERS = {"format binary_little_endian 1.0": "<", "format binary_big_endian 1.0": ">"}
+LONGEST_HEADER = 1 << 16
+
+
+class DenseFileError(ValueError):
+    """A file of a dense reconstruction is damaged or of another kind; the message names the file."""
+
+
+def write_vertices(columns: Sequence[tuple[str, str, Tensor]], path: Path, comments: Sequence[str] = ()) -> None:
+    """Write the vertices of a binary little-endian PLY file.
+
+    columns: name, NumPy type ("f4", "u1", ...) and values (n) of each property, in the order of the file. comments:
+    lines of the header. Raises ValueError where a comment has more than one line.
+    """
+    for comment in comments:
+        if comment.splitlines() != [comment]:
+            raise ValueError(f"the comment {comment!r} of {path} has a line break, but must be one line")
+    vertices = np.empty(len(columns[0][2]), dtype=[(name, f"<{kind}") for name, kind, _ in columns])
+    for name, _, values in columns:
+        vertices[name] = values.detach().cpu().numpy()
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
+    header += [f"element vertex {len(vertices)}", *(f"property {NAMES[kind]} {name}" for name, kind, _ in columns)]
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write("\n".join([*header, "end_header", ""]).encode("utf-8"))
+        vertices.tofile(file)
+
+
+def read_vertices(path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The vertices of a binary PLY file, a structured array (n) with a field for each property, and its comments.
+
+    Elements behind the vertices (faces) are passed over. Raises DenseFileError where the file is missing, is no binary
+    PLY file, has a list among the properties of its vertices, or holds fewer bytes than its header says (or, where the
+    vertices are all it has, more).
+    """
+    try:
+        with path.open("rb") as file:
+            start = file.read(LONGEST_HEADER)
+            dtype, count, comments, offset, ends_here = _header(start, path)
+            file.seek(0, 2)
+            size, wanted = file.tell() - offset, count * dtype.itemsize
+            if size < wanted or (ends_here and size > wanted):
+                raise DenseFileError(
+                    f"{path} is damaged: it has {size} bytes behind its header, but {count} vertices take {wanted}"
+                )
+            file.seek(offset)
+            return np.fromfile(file, dtype=dtype, count=count), comments
+    except OSError as error:
+        raise DenseFileError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def _header(start: bytes, path: Path) -> tuple[np.dtype, int, tuple[str, ...], int, bool]:
+    """Record, number of vertices, comments, where the vertices begin, and whether they are all there is."""
+    end = start.find(b"\nend_header")
+    end_of_line = start.find(b"\n", end + 1)
+    if not start.startswith((b"ply\n", b"ply\r\n")) or end < 0 or end_of_line < 0:
+        raise DenseFileError(f"{path} is not a PLY file: it has no header from 'ply' to 'end_header'")
+    try:
+        lines = start[:end].decode("utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise DenseFileError(f"{path} is damaged: its header is not text") from None
+    order = next((BYTE_ORDERS[line.strip()] for line in lines if line.strip() in BYTE_ORDERS), None)
+    if order is None:
+        raise DenseFileError(f"{path} is not a binary PLY file of version 1.0; write it as binary_little_endian")
+    comments = tuple(line.removeprefix("comment").strip() for line in lines if line.startswith("comment"))
+    elements: list[list[str]] = []
+    fields: list[tuple[str, str]] = []
+    for line in lines:
+        match line.split():
+            case ["element", *words]:
+                elements.append(words)
+            case ["property", kind, name] if len(elements) == 1 and kind in TYPES:
+                fields.append((name, order + TYPES[kind]))
+            case ["property", *_] if len(elements) == 1:
+                raise DenseFileError(f"{path}: {line.strip()!r} is not a property of one number, as vertices must have")
+    match elements[:1]:
+        case [["vertex", count]] if count.isdecimal() and fields and len(dict(fields)) == len(fields):
+            return np.dtype(fields), int(count), comments, end_of_line + 1, len(elements) == 1
+    raise DenseFileError(f"{path} must begin with 'element vertex' and its number, and properties of different names")

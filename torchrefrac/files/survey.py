@@ -1,0 +1,221 @@
+"""Reading `survey.json` and checking it before anything is computed."""
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchrefrac.files.capture import PIXEL_SHIFT, UNIT_TOLERANCE
+from torchrefrac.files.fields import Fields
+from torchrefrac.scene.capture import CaptureError
+from torchrefrac.scene.survey import Matrix, ScaleBar, Survey, SurveyedImage, SurveyedMark, SurveyError, resolve
+
+FORMAT = "torchrefrac-survey/1"
+IMAGE_FIELDS = {
+    "down_in_cam": ("down_in_cam_sigma_deg",),
+    "height": ("height_sigma",),
+    "center": ("center_sigma", "center_covariance"),
+}
+MARK_FIELDS = {"observations": (), "position": ("sigma",), "on_waterline": ("waterline_sigma",)}
+RANGE = 1e100  # of lengths and sigmas: their squares and the inverses of those are finite
+SYMMETRY_TOLERANCE = 1e-6  # of covariances, relative to the standard deviations they belong to
+MIN_EIGENVALUE = 1e-10  # of correlations; below, as many digits as people write do not tell them from singular ones
+
+
+def read_survey(path: str | Path, names: Sequence[str]) -> Survey:
+    """Read a `survey.json` and resolve it against `names`, those of the images of an alignment.
+
+    Everything in the file but `format` is optional; `pixel_origin` is "corner" (COLMAP) unless it says "center"
+    (OpenCV). What was measured of an image that is not among `names` is checked like the rest, then left out, and the
+    image is listed in `skipped`: images that could not be registered are common. A mark that this leaves with fewer
+    than two observations, or with none where its position is known, is left out too, with its scale bars, and listed
+    in `skipped_marks`.
+
+    Raises SurveyError with one sentence for anything that cannot be right: a missing or malformed file, a name given
+    twice, an unknown or mistyped field, a sigma that is not positive and finite, a covariance that is not symmetric and
+    positive definite, a measurement without its sigma or a sigma without its measurement, a down_in_cam that is no
+    unit vector, a height that is not above the water, a mark with too few observations, a scale bar to a mark that does
+    not exist, and a file none of whose images is among `names`.
+    """
+    path = Path(path)
+    try:
+        top = _Object(_parse(path), path, "")
+        top.only("format", "pixel_origin", "images", "marks", "scale_bars")
+        if top.text("format") != FORMAT:
+            raise top.fail("format", f"is {top.text('format')!r}, but must be {FORMAT!r}")
+        shift = _pixel_shift(top)
+        images = {name: _image(image) for name, image in top.members("images").items()}
+        marks = {name: _mark(mark, shift) for name, mark in top.members("marks").items()}
+        for name, mark in marks.items():
+            if not mark.is_placed:
+                wanted = "must be at least 2x, or 1x beside a position"
+                raise top.fail(f"marks.{name}", f"is observed {len(mark.pixels)}x, but {wanted}")
+        bars = [_bar(bar, marks) for bar in top.objects("scale_bars")] if "scale_bars" in top else []
+    except CaptureError as error:  # the typed fields speak for every file of a capture
+        raise SurveyError(str(error)) from None
+    mentioned = {*images, *(image for mark in marks.values() for image in mark.pixels)}
+    survey = resolve(images, marks, bars, names)
+    if mentioned and len(survey.skipped) == len(mentioned):
+        wanted = f"the alignment has none of them; its images are {_some(names)}"
+        raise SurveyError(f"{path} names the images {_some(survey.skipped)}, but {wanted}")
+    return survey
+
+
+class _Object(Fields):
+    """An object whose fields may have names of the user's own."""
+
+    def members(self, name: str) -> "dict[str, _Object]":
+        """The objects in object `name`, by their names; none where it is missing."""
+        if name not in self:
+            return {}
+        table = self.object(name)
+        return {key: table.object(key) for key in table.entries()}
+
+    def entries(self) -> list[str]:
+        """The names of all fields."""
+        if "" in self._content:
+            raise CaptureError(f"{self._path}: {self._prefix} has an entry with an empty name; give it one")
+        return list(self._content)
+
+    def object(self, name: str) -> "_Object":
+        return _Object(self._get(name), self._path, self._label(name))
+
+    def flag(self, name: str) -> bool:
+        value = self._get(name)
+        if not isinstance(value, bool):
+            raise self.fail(name, f"is {value!r}, but must be true or false")
+        return value
+
+    def sigmas(self, name: str) -> list[float]:
+        """Three: one for each axis, or the same for all."""
+        if isinstance(self._get(name), list):
+            return [_within(self, f"{name}[{i}]", value) for i, value in enumerate(self.numbers(name, 3))]
+        return [_positive(self, name)] * 3
+
+    def paired(self, fields: Mapping[str, tuple[str, ...]]) -> None:
+        """Refuse fields that are neither measurements nor the sigmas that go with them, and sigmas that stand alone."""
+        self.only(*fields, *(sigma for sigmas in fields.values() for sigma in sigmas))
+        for measured, sigmas in fields.items():
+            for sigma in sigmas:
+                if sigma in self and measured not in self:
+                    raise self.fail(sigma, f"is given without {measured}; give both or neither")
+
+
+def _parse(path: Path) -> Any:
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        content: dict[str, Any] = {}
+        for name, value in pairs:
+            if name in content:
+                raise SurveyError(f"{path}: {name!r} is given twice in one object, but names must differ")
+            content[name] = value
+        return content
+
+    try:
+        # Whole numbers beyond the range of a float become infinite, and are refused as such.
+        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=unique, parse_int=float)
+    except FileNotFoundError:
+        raise SurveyError(f"{path} does not exist, but must say what was measured on site") from None
+    except IsADirectoryError:
+        raise SurveyError(f"{path} is a folder, but must be a JSON file") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise SurveyError(f"{path} is not valid JSON: {error}") from None
+
+
+def _pixel_shift(top: Fields) -> float:
+    origin = top.text("pixel_origin") if "pixel_origin" in top else "corner"
+    if origin not in PIXEL_SHIFT:
+        raise top.fail("pixel_origin", f"is {origin!r}, but must be 'center' (OpenCV) or 'corner' (COLMAP)")
+    return PIXEL_SHIFT[origin]
+
+
+def _image(image: _Object) -> SurveyedImage:
+    image.paired(IMAGE_FIELDS)
+    down = height = center = None
+    if "down_in_cam" in image:
+        down = _unit(image, "down_in_cam"), math.radians(_positive(image, "down_in_cam_sigma_deg"))
+    if "height" in image:
+        height = _positive(image, "height"), _positive(image, "height_sigma")
+    if "center" in image:
+        given = [name for name in IMAGE_FIELDS["center"] if name in image]
+        if len(given) != 1:
+            found = " and ".join(given) or "neither center_sigma nor center_covariance"
+            raise image.fail("center", f"has {found}, but needs one of the two")
+        read = _covariance if given == ["center_covariance"] else _diagonal
+        center = image.numbers("center", 3), _information(image, given[0], read(image, given[0]))
+    return SurveyedImage(down, height, center)
+
+
+def _mark(mark: _Object, shift: float) -> SurveyedMark:
+    mark.paired(MARK_FIELDS)
+    pixels: dict[str, list[float]] = {}
+    if "observations" in mark:
+        seen = mark.object("observations")
+        pixels = {image: [x + shift for x in seen.numbers(image, 2)] for image in seen.entries()}
+    known = waterline = None
+    if "position" in mark:
+        known = mark.numbers("position", 3), _information(mark, "sigma", _diagonal(mark, "sigma"))
+    if "on_waterline" in mark and mark.flag("on_waterline"):
+        waterline = _positive(mark, "waterline_sigma")
+    return SurveyedMark(pixels, known, waterline)
+
+
+def _bar(bar: Fields, marks: Mapping[str, SurveyedMark]) -> ScaleBar:
+    bar.only("from", "to", "length", "sigma")
+    for end in ("from", "to"):
+        if bar.text(end) not in marks:
+            raise bar.fail(end, f"is {bar.text(end)!r}, but must be one of the marks ({_some(marks) or 'none'})")
+    if bar.text("from") == bar.text("to"):
+        raise bar.fail("to", f"is {bar.text('to')!r}, but must be another mark than from")
+    return ScaleBar(bar.text("from"), bar.text("to"), _positive(bar, "length"), _positive(bar, "sigma"))
+
+
+def _positive(fields: Fields, name: str) -> float:
+    return _within(fields, name, fields.number(name))
+
+
+def _within(fields: Fields, name: str, value: float) -> float:
+    if value <= 0.0:
+        raise fields.fail(name, f"is {value:g}, but must be above 0")
+    if not 1.0 / RANGE <= value <= RANGE:
+        raise fields.fail(name, f"is {value:g}, but must lie between {1.0 / RANGE:g} and {RANGE:g}")
+    return value
+
+
+def _unit(fields: Fields, name: str) -> list[float]:
+    vector = fields.numbers(name, 3)
+    norm = math.hypot(*vector)
+    if abs(norm - 1.0) > UNIT_TOLERANCE:
+        raise fields.fail(name, f"has length {norm:.4f}, but must be a unit vector (within {UNIT_TOLERANCE:g})")
+    return [x / norm for x in vector]
+
+
+def _information(fields: Fields, name: str, covariance: Tensor) -> Matrix:
+    """The inverse of a covariance (3, 3), by way of the correlations, whose condition no choice of units can spoil."""
+    scale = covariance.diagonal().rsqrt()
+    correlation = covariance * scale[:, None] * scale
+    finite = bool(correlation.isfinite().all() and scale.square().isfinite().all())
+    if not finite or torch.linalg.eigvalsh(correlation)[0] <= MIN_EIGENVALUE:
+        raise fields.fail(name, f"is {covariance.tolist()}, but must be positive definite")
+    return (torch.cholesky_inverse(torch.linalg.cholesky(correlation)) * scale[:, None] * scale).tolist()
+
+
+def _diagonal(fields: _Object, name: str) -> Tensor:
+    """The covariance (3, 3) of sigmas: one for each axis, or the same for all."""
+    return torch.diag(torch.tensor(fields.sigmas(name), dtype=torch.float64).square())
+
+
+def _covariance(fields: Fields, name: str) -> Tensor:
+    covariance = torch.tensor(fields.matrix(name), dtype=torch.float64)
+    sigma = covariance.diagonal().abs().sqrt()
+    if not ((covariance - covariance.mT).abs() <= SYMMETRY_TOLERANCE * sigma[:, None] * sigma).all():
+        raise fields.fail(name, f"is {covariance.tolist()}, but must be symmetric")
+    return covariance / 2.0 + covariance.mT / 2.0
+
+
+def _some(names: Iterable[str]) -> str:
+    names = list(names)
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

@@ -1,0 +1,65 @@
+"""`truth.json`: where a scene was made, the true cameras, planes and surface. For evaluation only."""
+
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchrefrac.files.capture import read_index_ratio, read_intrinsics
+from torchrefrac.files.fields import Fields, read_json
+from torchrefrac.geometry.triangle_mesh import TriangleMesh
+from torchrefrac.scene import Truth
+
+
+def load_truth(folder: Path, with_surface: bool = True) -> Truth | None:
+    """Read `folder`/truth.json; None where there is none.
+
+    The index ratio is that of truth.json, or else, as the lens always, that of the capture.json beside it, if there is
+    one. `surface` names a file of triangles beside it that trimesh can read; it is left out unless with_surface. Raises
+    CaptureError where a file is damaged, or the one of the surface is missing.
+    """
+    path = folder / "truth.json"
+    if not path.is_file():
+        return None
+    top = read_json(path)
+    images = top.objects("images")
+    planes = top.objects("planes") if "planes" in top else []
+    capture = read_json(folder / "capture.json") if (folder / "capture.json").is_file() else None
+    ratio_from = top if "index_ratio" in top else capture
+
+    def table(rows: list[list[float]]) -> Tensor:
+        return torch.tensor(rows, dtype=torch.float64).reshape(-1, 3)
+
+    return Truth(
+        names=tuple(image.text("name") for image in images),
+        rotation=torch.tensor([image.matrix("cam_from_world_rotation") for image in images], dtype=torch.float64),
+        center=table([image.numbers("center_in_world", 3) for image in images]),
+        corner=table([plane.numbers("origin", 3) for plane in planes]),
+        edge1=table([plane.numbers("e1", 3) for plane in planes]),
+        edge2=table([plane.numbers("e2", 3) for plane in planes]),
+        length_unit=top.text("length_unit"),
+        index_ratio=None if ratio_from is None else read_index_ratio(ratio_from),
+        intrinsics=None if capture is None else read_intrinsics(capture),
+        surface=_read_surface(top, folder) if with_surface and "surface" in top else None,
+    )
+
+
+def _read_surface(top: Fields, folder: Path) -> TriangleMesh:
+    import trimesh  # noqa: PLC0415 - slow to import, needed only where there is a mesh
+
+    name = top.text("surface")
+    path = folder / name
+    if Path(name).name != name or not path.is_file():
+        raise top.fail("surface", f"is {name!r}, but must name a file of triangles beside truth.json")
+    try:
+        mesh = trimesh.load(path, process=False)
+    except (OSError, ValueError, KeyError, IndexError, TypeError, EOFError, NotImplementedError) as error:
+        raise top.fail("surface", f"is {name!r}, which cannot be read: {error}") from None
+    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+        raise top.fail("surface", f"is {name!r}, which holds no triangles")
+    vertices, faces = torch.tensor(mesh.vertices, dtype=torch.float64), torch.tensor(mesh.faces, dtype=torch.long)
+    if not bool(vertices.isfinite().all()):
+        raise top.fail("surface", f"is {name!r}, which has vertices that are not finite")
+    if int(faces.min()) < 0 or int(faces.max()) >= len(vertices):
+        raise top.fail("surface", f"is {name!r}, which has triangles of vertices that it lacks")
+    return TriangleMesh(vertices, faces)

@@ -1,0 +1,185 @@
+"""The figures of a run as they stand in its report: picture, what it shows, and what to look for."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from torchrefrac.figures.attitude import attitude_figure, attitude_words, attitudes
+from torchrefrac.figures.cameras import cameras_figure
+from torchrefrac.figures.plotting import height_colors
+from torchrefrac.figures.residuals import Residuals, by_image_figure, by_incidence_figure
+from torchrefrac.figures.shift import shift_figure, shift_images, typical_depth
+from torchrefrac.figures.side_views import SideView, side_view, side_views_figure
+from torchrefrac.figures.uncertainty import uncertainty_figure
+from torchrefrac.html.contents import RunContents
+from torchrefrac.html.embed import Picture, picture, png, svg
+from torchrefrac.html.words import rounded
+from torchrefrac.scene import Reconstruction, Truth
+
+DENSE_PICTURES = (
+    ("dense_view.png", "The dense surface", "The dense points obliquely and from the side, coloured by height.",
+     "A clean sheet without a haze of points above or below it; holes are where the photographs show no texture."),
+    ("error_map.png", "Distance of the dense points from the true planes",
+     "From above and from the side: red lies below the true plane, blue above it.",
+     "Pale everywhere is good. A colour that changes slowly over the scene is a bend; speckle is noise of matching."),
+    ("dsm.png", "Depth of the surface", "The dense points as a map seen from above, shaded as if lit from one side.",
+     "Steps and ripples that the scene does not have come from the reconstruction."),
+)  # fmt: skip
+DENSE_WIDTH = 1400
+PANELS_INCHES = 9.2  # of up to three panels of Figure 1
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A figure in the page. kind: `wide` ones scroll sideways on a narrow screen rather than shrink."""
+
+    title: str
+    picture: Picture
+    alt: str
+    caption: str
+    look: str
+    kind: str = ""
+
+
+def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Drawn | None:
+    """Figure 1 of all runs that have cameras; titles: of the panels, by default what the model is called."""
+    views: list[SideView] = []
+    truth: Truth | None = None
+    for i, run in enumerate(runs):
+        if run.reconstruction is None or not bool(run.reconstruction.registered.any()):
+            continue
+        view = side_view(run.model, run.reconstruction, run.aligned, run.metrics)
+        caption = view.caption.replace(", ", "\n")
+        views.append(replace(view, title=titles[i] if titles else view.title, caption=caption))
+        truth = truth or run.truth
+    if not views:
+        return None
+    colors = "dark the deepest, light the highest, on one scale"
+    several = f"{len(views)} reconstructions side by side" if len(views) > 1 else "The reconstruction"
+    caption = f"{several} from the side, coloured by height: {colors}."
+    has_planes = truth is not None and len(truth.corner) > 0
+    if truth is not None:
+        caption += " Moved onto the true cameras as well as possible"
+        caption += "; grey lines are the true planes." if has_planes else "."
+    return Drawn(
+        title="Figure 1. The scene from the side",
+        picture=png(side_views_figure(views, truth, height_colors(), PANELS_INCHES / min(max(len(views), 2), 3))),
+        alt=f"Side view of the points and cameras of {', '.join(view.title for view in views)}",
+        caption=caption,
+        look="Points should lie on the grey lines. Without refraction in the model flat ground comes out bent like a "
+        "bowl, too shallow or too deep, and the cameras are off."
+        if has_planes
+        else "Flat ground should be flat. Without refraction in the model it comes out bent like a bowl.",
+        kind=f"wide panels{min(len(views), 4)}",
+    )
+
+
+def draw_cameras(shown: Reconstruction, truth: Truth | None) -> Drawn:
+    """Figure 5."""
+    return Drawn(
+        title="Figure 5. The path of the camera",
+        picture=png(cameras_figure(shown, truth)),
+        alt="Camera path and point cloud from above and obliquely",
+        caption="Cameras as the pyramids of what they see, joined in the order of the photographs; the points are "
+        "coloured by height. The first and the last photograph are numbered.",
+        look="The path should be the one that was flown or walked, without jumps, and the pyramids should look at the "
+        "points." + (" Crosses that lie beside a tip show how far a camera is off." if truth is not None else ""),
+        kind="wide",
+    )
+
+
+def draw_attitude(run: RunContents) -> Drawn | None:
+    """Figure 6; None where neither measurement nor truth is known."""
+    scene = run.shown
+    if scene is None:
+        return None
+    images, angles = attitudes(scene, run.capture, run.truth)
+    if not len(images) or all(angle.measured is None and angle.true is None for angle in angles):
+        return None
+    return Drawn(
+        title="Figure 6. Attitude of the cameras",
+        picture=svg(attitude_figure(images, angles, len(scene.names))),
+        alt="Estimated, measured and true roll, pitch and heading of each image",
+        caption="Roll and pitch: by how much the right and the lower side of the photograph dip below the horizontal "
+        f"(both 0 when looking straight down). {attitude_words(angles)}"
+        + (" Headings are compared after taking out their mean difference." if len(angles) > 2 else ""),
+        look="Differences from the IMU should scatter about zero, as large as the IMU's own errors. A trend or an "
+        "offset in roll or pitch says that the water was not level in the IMU's eyes, or the wrong model.",
+        kind="wide",
+    )
+
+
+def draw_residuals(residuals: Residuals, scene: Reconstruction) -> list[Drawn]:
+    """By image and by angle of incidence."""
+    water = scene.index_ratio > 1.0
+    by_angle = "angle at which the ray met the water (0° is straight down)" if water else "angle from the vertical"
+    return [
+        Drawn(
+            title="Residuals by photograph",
+            picture=svg(by_image_figure(residuals, scene.registered)),
+            alt="Median and ninety per cent bound of the reprojection error of each image",
+            caption="Distance between where a point is seen and where the reconstruction puts it, in pixels.",
+            look="All about equally low. One photograph that sticks out is blurred, moved, or placed wrongly.",
+            kind="wide",
+        ),
+        Drawn(
+            title="Residuals by angle",
+            picture=svg(by_incidence_figure(residuals, water)),
+            alt="Reprojection error over the angle of incidence, with the number of observations",
+            caption=f"The same over the {by_angle}, and how many observations there are at each.",
+            look="A level line. An error that grows with the angle is the mark of refraction that the model does not "
+            "have, or of a wrong index ratio.",
+            kind="wide",
+        ),
+    ]
+
+
+def draw_shift(run: RunContents) -> Drawn | None:
+    """Refraction shift map; None where the model has no water or no point lies in it."""
+    scene = run.reconstruction
+    if scene is None or scene.index_ratio <= 1.0:
+        return None
+    depth = typical_depth(scene)
+    if depth <= 0.0:
+        return None
+    paths = run.capture.paths if run.capture is not None and run.capture.names == scene.names else ()
+    return Drawn(
+        title="How far the water moves things",
+        picture=png(shift_figure(scene, shift_images(scene), depth, paths)),
+        alt="Map of the shift by refraction over the image, in pixels",
+        caption=f"By how many pixels, and in which direction, refraction moves what lies {rounded(depth, 3)} "
+        f"{scene.length_unit} below the water (the median depth of the points).",
+        look="These are the errors that a model without refraction has to hide somewhere: compare them with the "
+        "residuals of a fraction of a pixel.",
+        kind="wide panels1" if len(shift_images(scene)) == 1 else "wide",
+    )
+
+
+def draw_uncertainty(shown: Reconstruction, truth: Truth | None) -> Drawn | None:
+    """None where the run has no covariances."""
+    if shown.assessment.center_covariance is None:
+        return None
+    figure, factor = uncertainty_figure(shown, truth)
+    true = " True errors are drawn by the same factor." if truth is not None else ""
+    return Drawn(
+        title="How well the cameras are determined",
+        picture=svg(figure),
+        alt="Uncertainty ellipses of the camera centres from above, and standard deviations of their heights",
+        caption=f"Ellipses of one standard deviation of each camera centre, exaggerated {factor:g} times, relative to "
+        f"the cameras as a whole.{true}",
+        look="Round ellipses of one size; a long one points in the direction that the photographs leave open."
+        + (" True errors should mostly be no longer than two standard deviations." if truth is not None else ""),
+        kind="wide",
+    )
+
+
+def draw_dense(folder: Path) -> list[Drawn]:
+    """The pictures of a dense stage that lie in the folder."""
+    found = []
+    for name, title, caption, look in DENSE_PICTURES:
+        try:
+            shown = picture(folder / name, DENSE_WIDTH)
+        except OSError:
+            continue
+        found.append(Drawn(title, shown, title, caption, look, "wide"))
+    return found

@@ -1,0 +1,164 @@
+"""The report of one run."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from torchrefrac.figures.residuals import Residuals
+from torchrefrac.html import drawn
+from torchrefrac.html.contents import RunContents, Truths, read_contents
+from torchrefrac.html.page import write_page
+from torchrefrac.html.tables import Entry, files_of, photograph_heads, photographs, table1, timings
+from torchrefrac.html.words import (
+    MODELS,
+    UNKNOWN,
+    job_name,
+    model_title,
+    placed_words,
+    plain,
+    rounded,
+    seconds,
+    verdict,
+    with_sigma,
+)
+from torchrefrac.record.summary import dense_lines
+
+REPORT = "report.html"
+ORDER = ("none", "radial", "refractive")
+LOG, LOG_LINES = "run.log", 60
+MOST_PANELS = 6
+
+
+def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
+    """Write `run`/report.html from what lies in the run folder, however far the run got; returns its path.
+
+    compared: runs of the same photographs with other models, which stand beside it in Table 1 and Figure 1. The page
+    needs no other file and no network; links to files of the run are relative. What cannot be read is left out, and the
+    page says so. Raises OSError where the page cannot be written.
+    """
+    truths: Truths = {}
+    contents = read_contents(run, truths)
+    others = [
+        read_contents(other, truths, with_capture=False) for other in compared if other.resolve() != run.resolve()
+    ]
+    scene = contents.reconstruction
+    residuals = Residuals.of(scene) if scene is not None and len(scene.image) else None
+    residuals = residuals if residuals is not None and len(residuals) else None
+    write_page(
+        "run.html",
+        run / REPORT,
+        title=job_name(run, contents.metrics),
+        run=contents,
+        model_words=MODELS.get(contents.model, ""),
+        verdict=verdict(contents.metrics, contents.unit),
+        tiles=_tiles(contents),
+        table=_table(contents, others) if contents.status == "complete" else None,
+        figures=_figures(contents, others, residuals),
+        dense=drawn.draw_dense(run) if "dense_points" in contents.metrics else [],
+        dense_words=_dense_words(contents.metrics),
+        determined=_determined(contents.metrics),
+        held=list((contents.metrics.get("held") or {}).values()),
+        heads=photograph_heads(contents),
+        photographs=photographs(contents, residuals),
+        timings=timings(contents.metrics),
+        total=seconds(float(contents.metrics.get("seconds_total") or 0.0)),
+        memory=contents.metrics.get("peak_memory_gib"),
+        files=files_of(run),
+        log=_tail(run / LOG),
+    )
+    return run / REPORT
+
+
+def _tiles(run: RunContents) -> list[tuple[str, str]]:
+    """The few numbers that matter, with what they are."""
+    m, unit = run.metrics, run.unit
+    found: list[tuple[str, str]] = []
+    if placed_words(m) != UNKNOWN:
+        found.append((placed_words(m, " / "), "photographs placed"))
+    for key, words in (("camera_rms", "camera error, RMS"), ("point_median", "3D error of the points, median")):
+        if m.get(f"{key}_{unit}") is not None:
+            found.append((f"{rounded(m[f'{key}_{unit}'])} {unit}", words))
+    if m.get(f"point_median_{unit}") is None and m.get(f"surface_median_{unit}") is not None:
+        found.append((f"{rounded(m[f'surface_median_{unit}'])} {unit}", "points off the true surface, median"))
+    if m.get("reprojection_median_px") is not None:
+        found.append((f"{rounded(m['reprojection_median_px'])} px", "reprojection error, median"))
+    if m.get("model") == "refractive" and m.get("index_ratio") is not None:
+        sigma, true = m.get("index_ratio_sigma"), m.get("true_index_ratio")
+        value = plain(m["index_ratio"]) if sigma is None else with_sigma(m["index_ratio"], sigma)
+        words = "index ratio, " + ("assumed" if sigma is None else "estimated")
+        found.append((value, words + (f" (true {plain(true)})" if true is not None else "")))
+    if "points" in m:
+        found.append((f"{m['points']:,}".replace(",", "\u202f"), "points"))
+    if found and "seconds_total" in m:
+        found.append((seconds(float(m["seconds_total"])), "time"))
+    return found
+
+
+def _table(run: RunContents, others: Sequence[RunContents]) -> Any:
+    every = in_order([run, *others])
+    titles = titles_of(every)
+    entries = [
+        Entry(title, each.metrics, "" if each is run else relative_report(each.folder, run.folder))
+        for title, each in zip(titles, every, strict=True)
+    ]
+    return table1(entries, run.unit, every.index(run) if others else None)
+
+
+def _figures(run: RunContents, others: Sequence[RunContents], residuals: Residuals | None) -> list[drawn.Drawn]:
+    shown = run.shown
+    if shown is None or not bool(shown.registered.any()):
+        return []
+    every = in_order([run, *others])
+    beside = every if len(every) <= MOST_PANELS else [run]
+    found = [
+        drawn.draw_models(beside, titles_of(beside)),
+        drawn.draw_cameras(shown, run.truth),
+        drawn.draw_attitude(run),
+    ]
+    if residuals is not None and run.reconstruction is not None:
+        found += drawn.draw_residuals(residuals, run.reconstruction)
+    found += [drawn.draw_shift(run), drawn.draw_uncertainty(shown, run.truth)]
+    return [figure for figure in found if figure is not None]
+
+
+def in_order(runs: Sequence[RunContents]) -> list[RunContents]:
+    """The models from none to refractive, then by folder."""
+    return sorted(runs, key=lambda run: (ORDER.index(run.model) if run.model in ORDER else len(ORDER), run.folder.name))
+
+
+def titles_of(runs: Sequence[RunContents]) -> list[str]:
+    """What each is called: its model, with the folder where that is not enough."""
+    titles = [model_title(run.model) for run in runs]
+    return [
+        title if titles.count(title) == 1 else f"{title} [{run.folder.name}]"
+        for title, run in zip(titles, runs, strict=True)
+    ]
+
+
+def relative_report(run: Path, folder: Path) -> str:
+    """Where the report of `run` is, from a page in `folder`."""
+    return Path(os.path.relpath(run.resolve() / REPORT, folder.resolve())).as_posix()
+
+
+def _determined(metrics: dict[str, Any]) -> list[tuple[str, str]]:
+    """The verdicts of the adjustment as what and how well."""
+    pairs = [str(sentence).partition(": ") for sentence in metrics.get("determined") or []]
+    return [(name, words or UNKNOWN) for name, _, words in pairs]
+
+
+def _dense_words(metrics: dict[str, Any]) -> list[str]:
+    """Empty where a metric is missing, as after a dense stage that did not finish."""
+    try:
+        return dense_lines(metrics) if "dense_points" in metrics else []
+    except KeyError:
+        return []
+
+
+def _tail(path: Path) -> str:
+    """The end of the log; empty where there is none."""
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return ""
+    return "\n".join(lines[-LOG_LINES:])

@@ -1,0 +1,133 @@
+"""The report of a whole sweep."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from torchrefrac.html.contents import Truths, read_contents
+from torchrefrac.html.drawn import Drawn, draw_models
+from torchrefrac.html.embed import Picture, picture
+from torchrefrac.html.page import write_page
+from torchrefrac.html.run_page import MOST_PANELS, ORDER, REPORT, relative_report
+from torchrefrac.html.tables import Entry, Table, files_of, table1
+from torchrefrac.html.words import MODELS, model_title, seconds
+from torchrefrac.sweeps.jobs import Job, load_jobs, short_keys, what_varied
+from torchrefrac.sweeps.units import unit_of
+
+SUMMARY, SUMMARY_WIDTH = "summary.png", 1600
+MOST_FIGURES = 12
+DEFAULT = "by default"
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A job without a result, what it is called, and the link to its own report (empty: it has none)."""
+
+    job: Job
+    label: str
+    link: str
+
+
+@dataclass(frozen=True)
+class SceneSection:
+    """Complete jobs on the same photographs."""
+
+    title: str
+    table: Table
+    figure: Drawn | None
+
+
+def write_sweep_report(folder: Path, runs: Sequence[Path]) -> Path:
+    """Write `folder`/report.html of the jobs `runs`, the failed ones first with their reasons; returns its path.
+
+    It holds summary.png where that lies in the folder, and Table 1 and Figure 1 of each scene, and links to the jobs'
+    own reports, which must be written before. Raises OSError where the page cannot be written.
+    """
+    jobs = load_jobs(runs)
+    short = short_keys(what_varied(jobs).keys)
+    sections = _sections([job for job in jobs if job.is_complete], short, folder)
+    failed = [job for job in jobs if not job.is_complete]
+    write_page(
+        "sweep.html",
+        folder / REPORT,
+        title=f"{len(jobs)} jobs: {_listed([section.title for section in sections])}" if sections else "Sweep",
+        verdict=_verdict(jobs, failed),
+        total=seconds(sum(job.number("seconds_total") or 0.0 for job in jobs)),
+        models={model_title(name): MODELS[name] for name in ORDER if any(job.model == name for job in jobs)},
+        varied={
+            key: list(dict.fromkeys(job.settings.get(key, DEFAULT) for job in jobs if job.settings)) for key in short
+        },
+        failed=[Failed(job, _label(job, short) or job.folder.name, _link(job, folder)) for job in failed],
+        summary=_summary(folder / SUMMARY),
+        sections=sections,
+        files=[cell for cell in files_of(folder) if not cell.link.startswith("multirun")],
+    )
+    return folder / REPORT
+
+
+def _link(job: Job, folder: Path) -> str:
+    """To the report of a job, from a page in `folder`; empty where it has none."""
+    return relative_report(job.folder, folder) if (job.folder / REPORT).is_file() else ""
+
+
+def _sections(jobs: Sequence[Job], short: Mapping[str, str], folder: Path) -> list[SceneSection]:
+    groups: dict[str, list[Job]] = {}
+    for job in jobs:
+        groups.setdefault(str(job.metrics.get("capture", job.scene)), []).append(job)
+    found = []
+    for number, group in enumerate(groups.values()):
+        same = [key for key in short if len({job.settings.get(key) for job in group}) == 1]
+        ordered = sorted(group, key=lambda job: ORDER.index(job.model) if job.model in ORDER else len(ORDER))
+        shared = same if len(groups) > 1 else []
+        told = {key: name for key, name in short.items() if key not in shared}
+        labels = [_label(job, told, with_scene=False) for job in ordered]
+        labels = [
+            label if labels.count(label) == 1 else f"{label} [{job.folder.name}]"
+            for label, job in zip(labels, ordered, strict=True)
+        ]
+        title = ", ".join((group[0].scene, *(f"{short[key]} {group[0].settings.get(key, DEFAULT)}" for key in shared)))
+        entries = [Entry(label, job.metrics, _link(job, folder)) for label, job in zip(labels, ordered, strict=True)]
+        drawn = _figure(ordered, labels) if number < MOST_FIGURES else None
+        found.append(SceneSection(title, table1(entries, _unit(group)), drawn))
+    return found
+
+
+def _figure(jobs: Sequence[Job], labels: Sequence[str]) -> Drawn | None:
+    """Of two to six jobs; fewer have nothing beside them, more would be too small."""
+    if not 2 <= len(jobs) <= MOST_PANELS:
+        return None
+    truths: Truths = {}
+    return draw_models([read_contents(job.folder, truths, with_capture=False) for job in jobs], labels)
+
+
+def _label(job: Job, short: Mapping[str, str], with_scene: bool = True) -> str:
+    words = [job.scene] if with_scene and job.scene else []
+    words += [model_title(job.model)] if job.model else []
+    words += [f"{name} {job.settings[key]}" for key, name in short.items() if key in job.settings]
+    return ", ".join(words)
+
+
+def _unit(group: Sequence[Job]) -> str:
+    for stem in ("camera_rms", "camera_sigma_median", "point_sigma_median"):
+        unit = unit_of(group, stem)
+        if unit:
+            return unit
+    return ""
+
+
+def _summary(path: Path) -> Picture | None:
+    try:
+        return picture(path, SUMMARY_WIDTH) if path.is_file() else None
+    except OSError:
+        return None
+
+
+def _verdict(jobs: Sequence[Job], failed: Sequence[Job]) -> str:
+    done = f"{len(jobs) - len(failed)} of {len(jobs)} jobs are complete"
+    return f"{done}." if not failed else f"{done}; {len(failed)} failed or did not finish."
+
+
+def _listed(words: Sequence[str]) -> str:
+    """At most four of them."""
+    different: Mapping[str, None] = dict.fromkeys(words)
+    return ", ".join([*different][:4]) + (" …" if len(different) > 4 else "")

@@ -1,0 +1,192 @@
+"""The tables of a report."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchrefrac.figures.residuals import Residuals
+from torchrefrac.figures.shift import off_nadir
+from torchrefrac.figures.uncertainty import true_errors
+from torchrefrac.html.contents import RunContents
+from torchrefrac.html.embed import thumbnail
+from torchrefrac.html.words import UNKNOWN, file_size, placed_words, plain, rounded, seconds, with_sigma
+
+ERRORS = (
+    ("camera error", "camera_rms", "RMS distance of the camera centres from the true ones, after aligning them"),
+    ("3D error", "point_median", "distance of a point from what the cameras truly saw there, median"),
+    ("flatness", "flatness", "how far the points of a true plane are from one plane, wherever that is"),
+    ("off surface", "surface_median", "distance of a point from the true surface, median"),
+)
+REPORT = "report.html"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """text, where it leads, and whether it is the best of its column."""
+
+    text: str
+    link: str = ""
+    best: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """Heads, and rows of cells; `marked` rows stand out; terms: heads with what they mean."""
+
+    heads: list[str]
+    rows: list[list[Cell]]
+    marked: tuple[int, ...] = ()
+    terms: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A run in Table 1: what it is called, its metrics, and where its own report is (empty: here)."""
+
+    label: str
+    metrics: Mapping[str, Any]
+    link: str = ""
+
+
+def table1(entries: Sequence[Entry], unit: str, marked: int | None = None) -> Table:
+    """The paper's Table 1 of complete runs of one scene: errors against truth, and what is known without it.
+
+    Columns that no run has are left out; the smallest error of a column is marked as the best where there are several.
+    """
+    columns: list[tuple[str, str, Callable[[float], str], bool]] = [
+        (f"{name} ({unit})", f"{key}_{unit}", rounded, True) for name, key, _ in ERRORS
+    ]
+    columns += [("reprojection (px)", "reprojection_median_px", rounded, True)]
+    columns += [("points", "points", lambda value: f"{value:.0f}", False), ("time", "seconds_total", seconds, False)]
+    columns = [column for column in columns if any(_number(entry, column[1]) is not None for entry in entries)]
+    rows = [[Cell(entry.label, entry.link), Cell(_placed(entry.metrics))] for entry in entries]
+    for _, key, words, is_error in columns:
+        values = [_number(entry, key) for entry in entries]
+        known = [value for value in values if value is not None]
+        least = min(known) if is_error and len(known) > 1 else None
+        for row, value in zip(rows, values, strict=True):
+            row.append(Cell(UNKNOWN if value is None else words(value), best=least is not None and value == least))
+    for row, entry in zip(rows, entries, strict=True):
+        row.append(Cell(_index_ratio(entry.metrics)))
+    heads = ["model", "placed", *(name for name, *_ in columns), "index ratio"]
+    keys = {key for _, key, *_ in columns}
+    terms = tuple((name, words) for name, key, words in ERRORS if f"{key}_{unit}" in keys)
+    return Table(heads, rows, () if marked is None else (marked,), terms)
+
+
+def _number(entry: Entry, key: str) -> float | None:
+    value = entry.metrics.get(key)
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def _placed(metrics: Mapping[str, Any]) -> str:
+    if metrics.get("status") != "complete":
+        return str(metrics.get("status", "unknown"))
+    return placed_words(metrics)
+
+
+def _index_ratio(metrics: Mapping[str, Any]) -> str:
+    ratio, sigma = metrics.get("index_ratio"), metrics.get("index_ratio_sigma")
+    if ratio is None or metrics.get("model") != "refractive":
+        return UNKNOWN
+    return plain(ratio) if sigma is None else with_sigma(ratio, sigma)
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A row of the table of images; cells as the heads of `photograph_heads` say."""
+
+    number: int
+    name: str
+    picture: str
+    placed: bool
+    reason: str
+    cells: list[str]
+
+
+def photograph_heads(contents: RunContents) -> list[str]:
+    """What the cells of each placed photograph are."""
+    unit, scene = contents.unit, contents.shown
+    heads = [f"height above the water ({unit})", "off vertical (°)", "observations", "median error (px)"]
+    heads.append("incidence, 5 to 95 % (°)")
+    if scene is not None and scene.assessment.center_covariance is not None:
+        heads.append(f"centre known to ({unit})")
+    return heads + ([f"true error ({unit})"] if contents.truth is not None else [])
+
+
+def photographs(contents: RunContents, residuals: Residuals | None) -> list[Photograph]:
+    """The table of images; before there are cameras the names, and pictures, of the capture."""
+    scene, capture = contents.shown, contents.capture
+    names = scene.names if scene is not None else capture.names if capture is not None else ()
+    paths = dict(zip(capture.names, capture.paths, strict=True)) if capture is not None else {}
+    cells = {} if scene is None else _placed_cells(contents, residuals)
+    return [
+        Photograph(
+            number=i + 1,
+            name=name,
+            picture=thumbnail(paths[name]) if name in paths else "",
+            placed=i in cells,
+            reason="" if scene is None else scene.failures.get(name, ""),
+            cells=cells.get(i, []),
+        )
+        for i, name in enumerate(names)
+    ]
+
+
+def _placed_cells(contents: RunContents, residuals: Residuals | None) -> dict[int, list[str]]:
+    scene = contents.shown
+    if scene is None:
+        return {}
+    images = scene.registered.nonzero()[:, 0]
+    tilt, covariance = off_nadir(scene), scene.assessment.center_covariance
+    errors = None if contents.truth is None else true_errors(scene, contents.truth, images).norm(dim=-1).tolist()
+    cells = {}
+    for row, i in enumerate(images.tolist()):
+        cells[i] = [rounded(float(scene.center[i, 2]), 4), f"{float(tilt[i]):.1f}", *_seen(residuals, i)]
+        if covariance is not None:
+            cells[i].append(rounded(float(covariance[row].trace() / 3.0) ** 0.5))
+        if errors is not None:
+            cells[i].append(rounded(errors[row]))
+    return cells
+
+
+def _seen(residuals: Residuals | None, image: int) -> list[str]:
+    """Observations, median error, range of angles."""
+    own = None if residuals is None else residuals.of_image(image)
+    if own is None or not len(own):
+        return [UNKNOWN] * 3
+    low, high = own.incidence.quantile(torch.tensor((0.05, 0.95), dtype=torch.float64)).tolist()
+    return [str(len(own)), rounded(float(own.error.median())), f"{low:.0f} to {high:.0f}"]
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A bar of a chart in the page: its share of the longest in per cent."""
+
+    name: str
+    text: str
+    percent: float
+
+
+def timings(metrics: Mapping[str, Any]) -> list[Bar]:
+    """The seconds of each stage, and what is left of the total."""
+    start, total = "seconds_", float(metrics.get("seconds_total") or 0.0)
+    parts = {
+        key.removeprefix(start): float(value)
+        for key, value in metrics.items()
+        if key.startswith(start) and key != "seconds_total" and isinstance(value, int | float)
+    }
+    rest = total - sum(parts.values())
+    if parts and rest > 0.01 * total:
+        parts["everything else"] = rest
+    longest = max(parts.values(), default=0.0) or 1.0
+    return [Bar(name.replace("_", " "), seconds(value), 100.0 * value / longest) for name, value in parts.items()]
+
+
+def files_of(folder: Path) -> list[Cell]:
+    """Links to the files of a run, relative to its folder, with their sizes."""
+    found = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    return [Cell(f"{path.name} ({file_size(path.stat().st_size)})", path.name) for path in found if path.name != REPORT]

@@ -1,0 +1,109 @@
+"""Numbers and sentences of a report: no more digits than mean something."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from torchrefrac.figures.plotting import UNKNOWN, rounded
+from torchrefrac.figures.side_views import TITLES
+
+MODELS = {
+    "none": "as if there were no water",
+    "radial": "as if the lens made what the water does: radial distortion refined",
+    "refractive": "with refraction at the water surface, exactly",
+}
+MINUTE = 60.0
+
+
+def with_sigma(value: float, sigma: float) -> str:
+    """A value with its standard deviation, both to the digit that this leaves."""
+    if not 0.0 < sigma < math.inf:
+        return rounded(value, 5)
+    power = math.floor(math.log10(sigma))
+    decimals = max(0, -power + (1 if sigma < 2.0 * 10.0**power else 0))
+    return f"{value:.{decimals}f} ± {sigma:.{decimals}f}"
+
+
+def plain(value: float) -> str:
+    """An index ratio: four decimals, fewer where they are zero."""
+    return f"{value:.4f}".rstrip("0").rstrip(".")
+
+
+def seconds(value: float) -> str:
+    """A duration."""
+    if value < MINUTE:
+        return f"{value:.1f} s"
+    whole = round(value)
+    if whole < MINUTE * MINUTE:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def file_size(count: int) -> str:
+    """Of a file of so many bytes."""
+    return f"{count / 1e6:.1f} MB" if count >= 1e6 else f"{max(1, round(count / 1e3))} kB"
+
+
+def model_title(model: str) -> str:
+    return TITLES.get(model, model)
+
+
+def verdict(metrics: Mapping[str, Any], unit: str) -> str:
+    """What became of a run, in one sentence."""
+    status = metrics.get("status", "unknown")
+    if status != "complete":
+        return _ended(metrics)
+    parts = [f"{placed_words(metrics, ' of ')} photographs placed"]
+    error = metrics.get(f"camera_rms_{unit}")
+    if error is not None:
+        parts.append(f"cameras within {rounded(error)} {unit} of the truth (RMS)")
+    elif metrics.get("reprojection_median_px") is not None:
+        parts.append(f"median reprojection error {rounded(metrics['reprojection_median_px'])} px")
+    return "; ".join([*parts, *index_ratio_words(metrics)]) + "."
+
+
+def placed_words(metrics: Mapping[str, Any], between: str = "/") -> str:
+    """How many photographs have a place, of how many."""
+    count = metrics.get("registered_images", metrics.get("adjusted_images"))
+    return UNKNOWN if count is None else f"{count}{between}{metrics.get('images', '?')}"
+
+
+def index_ratio_words(metrics: Mapping[str, Any]) -> list[str]:
+    """What is said of the index ratio: nothing where the model has no water."""
+    ratio, truth = metrics.get("index_ratio"), metrics.get("true_index_ratio")
+    if ratio is None:
+        return []
+    if metrics.get("model") != "refractive":
+        return ["the water is left out of account" + (f" (true index ratio {plain(truth)})" if truth else "")]
+    sigma = metrics.get("index_ratio_sigma")
+    value = f"{plain(ratio)} assumed" if sigma is None else with_sigma(ratio, sigma)
+    return [f"index ratio {value}" + (f" (true {plain(truth)})" if truth else "")]
+
+
+def _ended(metrics: Mapping[str, Any]) -> str:
+    status = str(metrics.get("status", "unknown"))
+    stages = [str(stage) for stage in metrics.get("stages") or []]
+    words = {
+        "failed": "Failed",
+        "interrupted": "Interrupted",
+        "running": "Not finished: still running, or ended without a word",
+        "unknown": "Nothing is known about this run",
+    }
+    begun = f"after {_listed(stages)}" if stages else "before the first stage was complete"
+    reason = str(metrics.get("reason", "")).strip().rstrip(".")
+    sentence = words.get(status, status)
+    if status != "unknown":
+        sentence += f" {begun}" if status != "running" else f"; {begun}"
+    return sentence + (f": {reason}." if reason else ".")
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def job_name(run: Path, metrics: Mapping[str, Any]) -> str:
+    """What a job is called beside others: scene and model."""
+    scene = metrics.get("scene") or Path(str(metrics.get("capture", ""))).name
+    title = model_title(str(metrics.get("model", "")))
+    return ": ".join(filter(None, (str(scene), title))) or run.resolve().name

@@ -1,0 +1,105 @@
+"""What a command says when it is done."""
+
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+from torchrefrac.evaluate.dense_metrics import FOUND, TYPICAL
+from torchrefrac.record.terminal import WIDTH
+
+LEFT_OUT = {
+    "lost_images": "images left out, as too few of their points fit",
+    "lost_marks": "marks left out, as they do not fit or are not seen",
+    "images_only_in_survey": "images of the survey that the alignment does not have",
+}
+
+
+def summary(lines: Sequence[str]) -> str:
+    """One text, wrapped for the terminal."""
+    filled = (
+        textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+        for line in lines
+    )
+    return "\n".join(filled)
+
+
+def adjustment_lines(metrics: dict[str, Any]) -> list[str]:
+    """Of `torchrefrac adjust`, from its metrics."""
+    unit, sigma = metrics["length_unit"], metrics["index_ratio_sigma"]
+    spread = "" if sigma is None else f" +- {sigma:.2g}"
+    lines = [
+        f"{metrics['adjusted_images']} of {metrics['images']} images adjusted, {metrics['points']} points "
+        f"({metrics['dropped_points']} dropped), {metrics['observations']} observations "
+        f"({metrics['dropped_observations']} dropped)",
+        f"median reprojection error {metrics['reprojection_median_px']:.3f} px, through the water before "
+        f"{metrics['reprojection_median_before_px']:.3f} px, {metrics['seconds_total']:.1f} s",
+        f"index ratio {metrics['index_ratio']:.4f}{spread}, cameras moved by "
+        f"{metrics[f'camera_shift_median_{unit}']:.4g} {unit} (median), "
+        f"{metrics[f'camera_shift_max_{unit}']:.4g} {unit} at most",
+        *metrics["determined"],
+    ]
+    lines += [f"not refined: {sentence}" for sentence in metrics["held"].values()]
+    for key, words in LEFT_OUT.items():
+        if key in metrics:
+            lines.append(f"{words}: {', '.join(metrics[key])}")
+    if metrics["adjustment"] != "converged":
+        lines.append(f"the adjustment ended as {metrics['adjustment']}; see bundle.solver for its limits")
+    return lines + _against_truth(metrics)
+
+
+def _against_truth(metrics: dict[str, Any]) -> list[str]:
+    key = next((key for key in metrics if key.startswith("camera_rms_")), None)
+    if key is None:
+        return []
+    unit = key.removeprefix("camera_rms_")
+    line = f"against truth ({metrics['alignment']} alignment): cameras {metrics[key]:.4f} {unit} RMS"
+    if f"surface_median_{unit}" in metrics:
+        line += f", points {metrics[f'surface_median_{unit}']:.4f} {unit} from the surface (median)"
+    if f"flatness_{unit}" in metrics:
+        line += f", bent by {metrics[f'flatness_{unit}']:.4f} {unit}"
+    return [line]
+
+
+def reconstruction_lines(metrics: dict[str, Any]) -> list[str]:
+    """Of a reconstruction, from its metrics."""
+    lines = [
+        f"{metrics['registered_images']} of {metrics['images']} images registered, {metrics['points']} points, "
+        f"median reprojection error {metrics['reprojection_median_px']:.3f} px, {metrics['seconds_total']:.1f} s"
+    ]
+    lines += [f"not registered: {name} {reason}" for name, reason in metrics.get("not_registered", {}).items()]
+    if metrics["gravity"] == "estimated":
+        lines.append(
+            "gravity was estimated from the refraction; the verticals are determined to "
+            f"{metrics['gravity_sigma_deg']:.1f} degrees"
+        )
+    if "index_ratio_sigma" in metrics:
+        lines.append(f"index ratio {metrics['index_ratio']:.4f} +- {metrics['index_ratio_sigma']:.2g}")
+    lines += [f"not refined: {sentence}" for sentence in metrics.get("held", {}).values()]
+    return lines + _against_truth(metrics) + (dense_lines(metrics) if "dense_points" in metrics else [])
+
+
+def dense_lines(metrics: dict[str, Any]) -> list[str]:
+    """Of a dense stage, from the metrics of its run."""
+    speed = f" ({metrics['dense_patches_per_s']:.0f} patches/s)" if "dense_patches_per_s" in metrics else ""
+    again = metrics.get("dense_images_resumed")
+    resumed = f", with {again} {'image' if again == 1 else 'images'} from before" if again else ""
+    lines = [
+        f"dense ({metrics['dense_method']}): {metrics['dense_points']} points in {metrics['seconds_dense']:.1f} s"
+        f"{speed}{resumed}, each in {metrics['dense_views_median']:.0f} images (median), score "
+        f"{metrics['dense_score_median']:.3f}"
+    ]
+    key = next((key for key in metrics if key.startswith("dense_surface_median_")), None)
+    if key is None:
+        return lines
+    unit = key.removeprefix("dense_surface_median_")
+    near = f"{TYPICAL:g}_{unit}"
+    line = f"dense against truth: {100.0 * metrics[f'dense_accuracy_within_{near}']:.1f} % of the points within "
+    line += f"{TYPICAL:g} {unit} of the surface"
+    complete = metrics.get(f"dense_completeness_within_{FOUND:g}_{unit}")
+    if complete is not None:
+        line += f", {100.0 * complete:.1f} % of the textured surface has one within {FOUND:g} {unit}"
+    plane_rms = metrics.get(f"dense_plane_rms_{unit}")
+    if plane_rms is not None:
+        line += f", {plane_rms:.4f} {unit} RMS from its planes"
+        line += f" ({100.0 * metrics['dense_plane_inliers']:.0f} % inliers)"
+    return [*lines, line]

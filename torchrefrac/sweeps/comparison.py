@@ -1,0 +1,171 @@
+"""Several runs of one scene side by side: the paper's Table 1 and Figure 1, and the same of dense surfaces."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from torchrefrac.atomic import replacing
+from torchrefrac.evaluate.dense_metrics import FOUND, TYPICAL
+from torchrefrac.evaluate.metrics import evaluate
+from torchrefrac.figures.dense import dense_view, draw_dense_views, draw_error_map, error_panel
+from torchrefrac.figures.side_views import TITLES, draw_side_views, side_view
+from torchrefrac.files.cameras import load_cameras, load_points
+from torchrefrac.files.dense import load_dense
+from torchrefrac.files.run import DENSE_CLOUD
+from torchrefrac.files.truth import load_truth
+from torchrefrac.geometry import Similarity
+from torchrefrac.scene import Reconstruction, Truth
+from torchrefrac.sweeps.jobs import Job, failed_first, has_paper_form, load_jobs, scenes_of, what_varied
+from torchrefrac.sweeps.markdown import decimals, markdown_table
+from torchrefrac.sweeps.pictured import FIGURES, shown_together
+from torchrefrac.sweeps.units import error_text, in_header, unit_of
+
+
+def compare(runs: Sequence[Path], folder: Path) -> str:
+    """Write table1.md and figure1.png of the run folders `runs` into `folder`; returns the table, failed runs first.
+
+    Where runs are dense, also dense_figure1.png, and dense_error_map.png where the truth has planes. Runs of several
+    scenes share the table and get figures of their own, figure1_SCENE.png and so on. A run without a readable
+    metrics.json counts as failed.
+
+    Runs that differ in more than scene, model and dense method have a figure for each scene and combination of the
+    other values, figure1_SCENE_VALUE.png, where 2 to 6 runs share these. There is no table of theirs: the text returned
+    is empty, and a table1.md that an earlier sweep left is removed. See `sweep.write_summary`.
+    """
+    jobs = load_jobs(runs)
+    design = what_varied(jobs)
+    for end, shown in shown_together(jobs, design).items():
+        _draw([job for job in shown if _has_results(job)], folder, end)
+    if not has_paper_form(design):
+        (folder / "table1.md").unlink(missing_ok=True)
+        return ""
+    jobs = failed_first(jobs)
+    labels = _labels(jobs)
+    table = _table(jobs, labels)
+    dense = [(job, label) for job, label in zip(jobs, labels, strict=True) if "dense_points" in job.metrics]
+    if dense:
+        table += "\n\n" + _dense_table(dense)
+    with replacing(folder / "table1.md") as temporary:
+        temporary.write_text(table + "\n", encoding="utf-8")
+    return table
+
+
+def _has_results(job: Job) -> bool:
+    return all((job.folder / name).is_file() for name in ("cameras.json", "points.ply"))
+
+
+def _draw(jobs: Sequence[Job], folder: Path, end: str) -> None:
+    """The figures of jobs with one capture; none without jobs."""
+    if not jobs:
+        return
+    capture = jobs[0].metrics.get("capture")
+    truth = load_truth(Path(capture)) if isinstance(capture, str) else None
+    names = [f"{kind}{end}" for kind in FIGURES]
+    views, dense = [], []
+    for job, title in zip(jobs, _titles(jobs), strict=True):
+        points, colors = load_points(job.folder / "points.ply")
+        reconstruction = replace(load_cameras(job.folder / "cameras.json"), points=points, colors=colors)
+        aligned = evaluate(reconstruction, truth)[1] if truth is not None else None
+        views.append(side_view(title, reconstruction, aligned, job.metrics))
+        if "dense_points" in job.metrics and (job.folder / DENSE_CLOUD).is_file():
+            dense.append((title, job, reconstruction, aligned))
+    draw_side_views(views, truth, folder / names[0])
+    if dense:
+        _draw_dense(dense, truth, folder / names[1], folder / names[2])
+
+
+def _draw_dense(
+    shown: Sequence[tuple[str, Job, Reconstruction, Similarity | None]],
+    truth: Truth | None,
+    views_path: Path,
+    map_path: Path,
+) -> None:
+    views, panels = [], []
+    for title, job, reconstruction, aligned in shown:
+        cloud = load_dense(job.folder / DENSE_CLOUD)
+        views.append(dense_view(title, cloud, reconstruction, aligned, job.metrics))
+        if truth is not None and aligned is not None and len(truth.corner):
+            panels.append(error_panel(title, cloud, aligned, truth, job.metrics))
+    draw_dense_views(views, truth, views_path)
+    if truth is not None and panels:
+        draw_error_map(panels, truth, map_path)
+
+
+def _titles(jobs: Sequence[Job]) -> list[str]:
+    """Model, with the dense method where there are several, and with the run folder where that is not unique."""
+    return _told_apart(_names(jobs), jobs)
+
+
+def _labels(jobs: Sequence[Job]) -> list[str]:
+    """The same for a table, with the scene before it where there are several."""
+    labels = _names(jobs)
+    if len(scenes_of(job for job in jobs if job.is_complete)) > 1:
+        labels = [f"{job.scene or '?'}: {label}" for job, label in zip(jobs, labels, strict=True)]
+    return _told_apart(labels, jobs)
+
+
+def _names(jobs: Sequence[Job]) -> list[str]:
+    names = [TITLES.get(job.model, job.model or "unknown") for job in jobs]
+    methods = [job.metrics.get("dense_method") for job in jobs]
+    if len(set(methods)) == 1:
+        return names
+    return [name + (f", {method}" if method else "") for method, name in zip(methods, names, strict=True)]
+
+
+def _told_apart(words: list[str], jobs: Sequence[Job]) -> list[str]:
+    if len(set(words)) == len(words):
+        return words
+    return [f"{word} [{job.folder.name}]" for word, job in zip(words, jobs, strict=True)]
+
+
+def _table(jobs: Sequence[Job], labels: Sequence[str]) -> str:
+    """One line a run, in Markdown that reads well in a terminal too.
+
+    Camera RMS after alignment, median distance of the points from their true places (where only the surface is known,
+    from that), median reprojection error.
+    """
+    points = ("3D error", "point_median") if unit_of(jobs, "point_median") else ("off surface", "surface_median")
+    errors = dict((("camera RMS", "camera_rms"), points)) if unit_of(jobs, "camera_rms") else {}
+    header = ["model", *(in_header(title, jobs, stem) for title, stem in errors.items())]
+    header += ["images", "points", "error (px)", "seconds"]
+    rows = []
+    for job, label in zip(jobs, labels, strict=True):
+        row = [label]
+        if not job.is_complete:
+            rows.append([*row, job.status, *[""] * (len(header) - 2)])
+            continue
+        row += [error_text(job, jobs, stem) for stem in errors.values()]
+        row += [f"{_rounded(job, 'registered_images')}/{_rounded(job, 'images')}", _rounded(job, "points")]
+        row += [_rounded(job, "reprojection_median_px", 3), _rounded(job, "seconds_total", 1)]
+        rows.append(row)
+    return markdown_table(header, rows)
+
+
+def _dense_table(jobs: Sequence[tuple[Job, str]]) -> str:
+    """The same of dense surfaces.
+
+    Share of the points that lie near the true surface, share of the textured true surface that has points near it
+    (found), RMS distance of the inliers from the true planes.
+    """
+    unit = unit_of((job for job, _ in jobs), "dense_surface_median")
+    near, found = (f"within_{limit:g}_{unit}" for limit in (TYPICAL, FOUND))
+    header = ["dense", "points", "patches/s", "seconds"]
+    if unit:
+        header[2:2] = [f"within {TYPICAL:g} {unit}", "found", f"RMS ({unit})"]
+    rows = []
+    for job, label in jobs:
+        row = [label, _rounded(job, "dense_points")]
+        if unit:
+            row += [_percent(job.number(f"dense_accuracy_{near}")), _percent(job.number(f"dense_completeness_{found}"))]
+            row.append(decimals(job.number(f"dense_plane_rms_{unit}")))
+        rows.append([*row, _rounded(job, "dense_patches_per_s", 0), _rounded(job, "seconds_dense", 1)])
+    return markdown_table(header, rows)
+
+
+def _rounded(job: Job, name: str, places: int = 0) -> str:
+    value = job.number(name)
+    return "-" if value is None else f"{value:.{places}f}"
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100.0 * share:.1f} %"

@@ -1,0 +1,101 @@
+"""What the panels of a sweep's figure are made of: lines and their spots, reference lines, the legend."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from torchrefrac.figures.side_views import INK
+from torchrefrac.sweeps.jobs import Design, Job, value_of
+from torchrefrac.sweeps.lines import Line, Spot, is_partial
+
+SCENE_RATIO = "scene.index_ratio"
+TRUE_STYLE, AIR_STYLE = {"color": "#777777", "lw": 1.2, "ls": "--"}, {"color": "#777777", "lw": 1.2, "ls": ":"}
+FEWEST = 3  # spots of a line of which the smallest is worth a mark
+
+
+def assumes_ratio(design: Design) -> bool:
+    """Whether the axis is an index ratio that the reconstruction assumed."""
+    return design.x is not None and design.x.endswith("index_ratio") and design.x != SCENE_RATIO
+
+
+def has_air(jobs: Sequence[Job], design: Design) -> bool:
+    """Whether the axis is the true index ratio, and 1, no refraction at all, is among its values."""
+    return design.x == SCENE_RATIO and any(value_of(job, SCENE_RATIO) == 1.0 for job in jobs)
+
+
+def draw_spots(panel: Any, spots: Sequence[Spot], line: Line, design: Design, count: int) -> None:
+    """One line of `count`, broken where jobs failed, and a marker for every job.
+
+    Where a spot has several jobs the line runs through their means, and a band (bars without an axis of numbers) shows
+    from the smallest to the largest.
+    """
+    x, mean = [spot.x for spot in spots], [spot.mean for spot in spots]
+    several = [spot for spot in spots if len(spot.values) > 1]
+    if design.x is not None:
+        panel.plot(x, mean, color=line.color, ls=line.dash, lw=1.6, zorder=3)
+        low = [min(spot.values, default=float("nan")) for spot in spots]
+        high = [max(spot.values, default=float("nan")) for spot in spots]
+        if several:
+            panel.fill_between(x, low, high, color=line.color, alpha=0.18, lw=0, zorder=2)
+    for spot in several:
+        panel.plot([spot.x] * len(spot.values), spot.values, line.marker, ms=3, color=line.color, alpha=0.6, zorder=3)
+        panel.plot((spot.x, spot.x), (min(spot.values), max(spot.values)), color=line.color, lw=1.0, zorder=3)
+    for spot in spots:
+        if spot.values:
+            inside = "white" if spot.partial else line.color
+            panel.plot(spot.x, spot.mean, line.marker, ms=5.5, mew=1.3, mec=line.color, mfc=inside, zorder=4)
+            if design.x is None and count <= 6:
+                place = (spot.x, spot.mean)
+                panel.annotate(
+                    f"{spot.mean:.3g}", place, (7, 0), textcoords="offset points", va="center", fontsize=8, color=INK
+                )
+    if assumes_ratio(design):
+        _mark_smallest(panel, [spot for spot in spots if spot.values], line, is_named=count == 1)
+
+
+def _mark_smallest(panel: Any, spots: Sequence[Spot], line: Line, is_named: bool) -> None:
+    if len(spots) < FEWEST:
+        return
+    best = min(spots, key=lambda spot: spot.mean)
+    panel.plot(best.x, best.mean, "o", ms=12, mfc="none", mec=line.color, mew=1.2, zorder=4)
+    if is_named:
+        panel.annotate(
+            f"{best.x:g}", (best.x, best.mean), (0, 10), textcoords="offset points", ha="center", fontsize=8, color=INK
+        )
+
+
+def draw_true_ratio(panel: Any, jobs: Sequence[Job], design: Design) -> None:
+    """A vertical line: the scene's true index ratio over assumed ones, or, over true ones, that of no water."""
+    if assumes_ratio(design):
+        for ratio in sorted({ratio for job in jobs if (ratio := job.number("true_index_ratio")) is not None}):
+            low, high = panel.get_xlim()
+            panel.set_xlim(min(low, ratio - 0.03 * (high - low)), max(high, ratio + 0.03 * (high - low)))
+            panel.axvline(ratio, zorder=1, **TRUE_STYLE)
+    elif has_air(jobs, design):
+        panel.axvline(1.0, zorder=1, **AIR_STYLE)
+
+
+def legend_handles(jobs: Sequence[Job], design: Design, lines: Sequence[Line]) -> list[Any]:
+    """What the figure's marks mean; lines only where the axis does not name them."""
+    from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
+
+    complete = [job for job in jobs if job.is_complete]
+    handles = []
+    if design.x is not None:
+        handles = [
+            Line2D([], [], color=line.color, ls=line.dash, marker=line.marker, ms=5.5, label=line.label)
+            for line in lines
+        ]
+    if design.averaged:
+        handles.append(Line2D([], [], color=INK, alpha=0.25, lw=7, label="mean, range of seeds"))
+    if assumes_ratio(design):
+        if any(job.number("true_index_ratio") is not None for job in complete):
+            handles.append(Line2D([], [], label="true index ratio", **TRUE_STYLE))
+        handles.append(Line2D([], [], ls="", marker="o", ms=10, mfc="none", mec=INK, label="smallest of its line"))
+    elif has_air(complete, design):
+        handles.append(Line2D([], [], label="index ratio 1: all agree", **AIR_STYLE))
+    if any(is_partial(job) for job in complete):
+        handles.append(Line2D([], [], ls="", marker="o", mfc="white", mec=INK, label="not all images registered"))
+    if len(complete) < len(jobs):
+        label = f"failed: {len(jobs) - len(complete)} of {len(jobs)} jobs"
+        handles.append(Line2D([], [], ls="", marker="x", ms=6, mew=1.6, color=INK, label=label))
+    return handles

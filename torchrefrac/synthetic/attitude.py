@@ -1,0 +1,61 @@
+"""What the camera's sensors say of its attitude and position."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchrefrac.geometry import so3_exp, split_heading
+from torchrefrac.synthetic.options import InertialOptions, SyntheticOptions
+from torchrefrac.synthetic.seeds import seeded
+
+LEAST_SIGMA_DEG = 0.05
+MOST_SIGMA_DEG = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Attitude:
+    """Of m cameras: true_down (m, 3), measured down_in_cam (m, 3), unit vectors; measured heading (m) in radians, None
+    without a compass; sigma_deg: what to expect of the error of down_in_cam about each axis, as an angle to the
+    perpendicular of the water surface."""
+
+    true_down: Tensor
+    down_in_cam: Tensor
+    heading: Tensor | None
+    sigma_deg: float
+
+
+def measure_attitude(rotation: Tensor, options: SyntheticOptions) -> Attitude:
+    """What the sensors say of cameras with `cam_from_world` rotation (m, 3, 3).
+
+    True gravity departs from the perpendicular of the water by `plane_tilt_deg`, the same way for all images; what is
+    measured departs from it by the bias, in the camera's frame, and by an error of each image's own.
+    """
+    inertial = options.inertial
+    count = len(rotation)
+    tilt = so3_exp(torch.tensor((*options.plane_tilt_deg, 0.0), dtype=torch.float64).deg2rad())
+    true_down, heading = split_heading(rotation @ tilt)
+    bias = so3_exp(torch.tensor((*inertial.gravity_bias_deg, 0.0), dtype=torch.float64).deg2rad())
+    down = true_down @ bias.mT
+    shaken = torch.randn(count, 3, generator=seeded(options.seed, "gravity"), dtype=torch.float64)
+    shaken = math.radians(inertial.gravity_sigma_deg) * shaken
+    across = shaken - (shaken * down).sum(dim=-1, keepdim=True) * down
+    measured = torch.nn.functional.normalize((so3_exp(across) @ down[..., None])[..., 0], dim=-1)
+    sensed = None
+    if inertial.heading_sigma_deg is not None:
+        error = torch.randn(count, generator=seeded(options.seed, "heading"), dtype=torch.float64)
+        sensed = heading + math.radians(inertial.heading_sigma_deg) * error
+    return Attitude(true_down, measured, sensed, _expected_sigma_deg(inertial, options.plane_tilt_deg))
+
+
+def measure_positions(center: Tensor, sigma: float, seed: int) -> Tensor:
+    """Satellite positions (m, 3) of cameras at center (m, 3), each coordinate with standard deviation sigma."""
+    error = torch.randn(center.shape, generator=seeded(seed, "positions"), dtype=torch.float64)
+    return center + sigma * error
+
+
+def _expected_sigma_deg(inertial: InertialOptions, tilt_deg: tuple[float, ...]) -> float:
+    """Root mean square about one axis, within what captures may say."""
+    fixed = sum(angle**2 for angle in (*inertial.gravity_bias_deg, *tilt_deg)) / 2.0
+    return min(max(math.sqrt(inertial.gravity_sigma_deg**2 + fixed), LEAST_SIGMA_DEG), MOST_SIGMA_DEG)

@@ -1,0 +1,154 @@
+"""Made scenes, each rendered once and kept in a folder."""
+
+import errno
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from torchrefrac.files.truth_points import FILE as POINTS_FILE
+from torchrefrac.recorder import Recorder, SilentRecorder
+from torchrefrac.synthetic.attitude import measure_attitude, measure_positions
+from torchrefrac.synthetic.folder import (
+    SURFACE_FILE,
+    capture_content,
+    image_names,
+    options_content,
+    survey_content,
+    truth_content,
+    write_json,
+    write_photograph,
+    write_surface,
+    write_truth_points,
+)
+from torchrefrac.synthetic.options import SyntheticOptions
+from torchrefrac.synthetic.photograph import Photographer
+from torchrefrac.synthetic.rehearsal import rehearse
+from torchrefrac.synthetic.scenes import stage_of
+from torchrefrac.synthetic.sensor import develop
+from torchrefrac.synthetic.stage import SceneError, Stage
+
+VERSION = 1
+"""Of what is rendered from the same options. Raise it whenever that changes: folders of before are then left alone."""
+
+FULL = (errno.ENOSPC, errno.EDQUOT)
+FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
+
+
+def made_scene(options: SyntheticOptions, cache: Path | None = None, recorder: Recorder | None = None) -> Path:
+    """Folder of the scene that `options` describe, a capture with its truth; rendered unless `cache` has it already.
+
+    By default `cache` is the folder of the environment variable TORCHREFRAC_CACHE, or torchrefrac/ in the user's cache.
+    Raises SceneError, one sentence with the remedy, where the scene cannot be made or written.
+    """
+    cache = cache or default_cache()
+    folder = scene_folder(options, cache)
+    return folder if folder.is_dir() else render_scene(stage_of(options), options, cache, recorder or SilentRecorder())
+
+
+def default_cache() -> Path:
+    """Where made scenes are kept unless something else is said."""
+    given = os.environ.get("TORCHREFRAC_CACHE")
+    if given:
+        return Path(given)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchrefrac"
+
+
+def scene_folder(options: SyntheticOptions, cache: Path) -> Path:
+    """Where in `cache` the scene of these options lies, or would lie: NAME_HASH."""
+    text = json.dumps([VERSION, options.fingerprint()], sort_keys=True)
+    name = re.sub(r"[^\w.-]+", "_", options.name)
+    return cache / f"{name}_{hashlib.sha256(text.encode('utf-8')).hexdigest()[:12]}"
+
+
+def render_scene(stage: Stage, options: SyntheticOptions, cache: Path, recorder: Recorder) -> Path:
+    """The folder of the scene in `cache`, a capture with truth beside it; rendered unless it is there already.
+
+    `stage` must be what `options` say: the options alone decide whether the scene is there. While the scene is being
+    rendered its folder has another name; when that is interrupted, the next try goes on with the images that are whole.
+    A second process that wants the same scene waits for the first.
+
+    Raises SceneError, one sentence with the remedy, where the scene cannot be photographed (see `rehearse`) or the
+    folder cannot be written.
+    """
+    folder = scene_folder(options, cache)
+    if folder.is_dir():
+        return folder
+    photographer = Photographer.of(stage, options)
+    names = image_names(len(stage.center))
+    rehearse(photographer, options, names)
+    with _explained(folder, cache):
+        cache.mkdir(parents=True, exist_ok=True)
+        with _alone(folder, recorder):
+            if not folder.is_dir():
+                partial = folder.with_name(f"{folder.name}.partial")
+                _render(photographer, options, partial, recorder)
+                partial.rename(folder)
+    return folder
+
+
+def _render(photographer: Photographer, options: SyntheticOptions, folder: Path, recorder: Recorder) -> None:
+    stage, lens = photographer.stage, photographer.lens
+    for left_over in folder.glob("**/.*.partial.*"):
+        left_over.unlink()
+    attitude = measure_attitude(stage.rotation, options)
+    _check_gravity(attitude.down_in_cam[:, 2].tolist(), options)
+    positions = None
+    if stage.position_sigma is not None:
+        positions = measure_positions(stage.center, stage.position_sigma, options.seed)
+        write_json(survey_content(positions, stage.position_sigma), folder / "survey.json")
+    write_json(options_content(options, VERSION), folder / "scene.json")
+    write_json(capture_content(stage, options, lens, attitude, positions), folder / "capture.json")
+    write_json(truth_content(stage, options, attitude), folder / "truth.json")
+    names = image_names(len(stage.center))
+    for image, name in recorder.track(enumerate(names), len(names), f"rendering {options.label}", "image"):
+        path = folder / "images" / name
+        if not path.is_file():
+            write_photograph(develop(photographer.take(image), options.sensor, options.seed, image), path)
+    write_truth_points(photographer, folder / POINTS_FILE)
+    write_surface(stage, folder / SURFACE_FILE)
+
+
+def _check_gravity(depths: list[float], options: SyntheticOptions) -> None:
+    """Captures of cameras that look at the sky are refused; better before than after rendering."""
+    for name, depth in zip(image_names(len(depths)), depths, strict=True):
+        if depth <= 0.0:
+            raise SceneError(
+                f"scene {options.name}: by its measured gravity {name} looks at the sky; point the cameras further "
+                "down, or give smaller errors in inertial"
+            )
+
+
+@contextmanager
+def _alone(folder: Path, recorder: Recorder) -> Iterator[None]:
+    """Wait until no other process renders this scene."""
+    lock = FileLock(folder.with_name(f".{folder.name}.lock"))
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        recorder.note(f"another process is rendering {folder.name}; waiting for it")
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+@contextmanager
+def _explained(folder: Path, cache: Path) -> Iterator[None]:
+    """OSErrors as what they mean for the user."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        remedy = "give another cache folder (option `cache`)"
+        if error.errno in FULL:
+            reason, remedy = "the disk is full", f"free space, or {remedy}; images that are finished are kept"
+        elif error.errno in FORBIDDEN:
+            reason, remedy = "no permission to write there", f"allow writing to {cache}, or {remedy}"
+        raise SceneError(f"{folder} cannot be written: {reason}; {remedy}") from error

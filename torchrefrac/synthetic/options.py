@@ -1,0 +1,130 @@
+"""What decides how a made scene is photographed. What decides the scene itself stands with each scene."""
+
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from torchrefrac.checks import require
+from torchrefrac.files.capture import MAX_INDEX_RATIO
+
+MAX_SAMPLES = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaveOptions:
+    """Small waves on the water: `components` sines of random directions, phases and lengths up to `longest` (length
+    units), the slopes of all together `rms_slope` (0: calm)."""
+
+    rms_slope: float = 0.0
+    longest: float = 80.0
+    components: int = 8
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.rms_slope <= 0.3:
+            raise ValueError(f"rms_slope is {self.rms_slope:g}, but must lie between 0 (calm) and 0.3")
+        require(self.longest, "longest", above=0.0)
+        if not 1 <= self.components <= 64:
+            raise ValueError(f"components is {self.components}, but must lie between 1 and 64")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraOptions:
+    """width and height in pixels, horizontal field of view fov_deg, distortion (k1, k2, p1, p2, k3)."""
+
+    width: int = 1024
+    height: int = 768
+    fov_deg: float = 75.0
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            if not 16 <= getattr(self, name) <= 20000:
+                raise ValueError(f"{name} is {getattr(self, name)}, but must lie between 16 and 20000 pixels")
+        if not 1.0 <= self.fov_deg <= 150.0:
+            raise ValueError(f"fov_deg is {self.fov_deg:g}, but must lie between 1 and 150 degrees")
+        if len(self.distortion) != 5 or not all(map(math.isfinite, self.distortion)):
+            raise ValueError(f"distortion is {list(self.distortion)}, but must be five numbers: k1, k2, p1, p2, k3")
+
+    @property
+    def focal(self) -> float:
+        """In pixels."""
+        return 0.5 * self.width / math.tan(math.radians(0.5 * self.fov_deg))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorOptions:
+    """samples x samples rays a pixel; blur: standard deviation of the lens's spot in pixels, noise: of a grey value."""
+
+    samples: int = 4
+    blur: float = 0.4
+    noise: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.samples <= MAX_SAMPLES:
+            raise ValueError(f"samples is {self.samples}, but must lie between 1 and {MAX_SAMPLES}")
+        require(self.blur, "blur", at_least=0.0)
+        require(self.noise, "noise", at_least=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InertialOptions:
+    """Errors of what the camera says of its attitude.
+
+    gravity_sigma_deg: standard deviation of the angle about each axis across the vertical, for each image anew;
+    gravity_bias_deg: the same turn (about the camera's x and y axes) in all images, such as of a sensor that is mounted
+    askew; heading_sigma_deg: of the compass heading (None: there is no compass).
+    """
+
+    gravity_sigma_deg: float = 0.5
+    gravity_bias_deg: tuple[float, ...] = (0.0, 0.0)
+    heading_sigma_deg: float | None = 5.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.gravity_sigma_deg <= 30.0:
+            raise ValueError(f"gravity_sigma_deg is {self.gravity_sigma_deg:g}, but must lie between 0 and 30 degrees")
+        if len(self.gravity_bias_deg) != 2 or not all(abs(turn) <= 30.0 for turn in self.gravity_bias_deg):
+            raise ValueError(
+                f"gravity_bias_deg is {list(self.gravity_bias_deg)}, but must be two angles up to 30 degrees"
+            )
+        if self.heading_sigma_deg is not None:
+            require(self.heading_sigma_deg, "heading_sigma_deg", at_least=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SyntheticOptions:
+    """How any made scene is photographed.
+
+    index_ratio: true n_water / n_air. plane_tilt_deg: how far true gravity is from the perpendicular of the water
+    surface, about world x and y: as in a tank that is filled to a tilted lid, or a wall; the frame stays that of the
+    surface. reflection: grey value of the sky that the surface mirrors (0: it mirrors nothing). seed decides textures,
+    waves, noise and all errors.
+    """
+
+    name: str
+    index_ratio: float = 1.333
+    plane_tilt_deg: tuple[float, ...] = (0.0, 0.0)
+    reflection: float = 0.0
+    camera: CameraOptions = field(default_factory=CameraOptions)
+    sensor: SensorOptions = field(default_factory=SensorOptions)
+    inertial: InertialOptions = field(default_factory=InertialOptions)
+    waves: WaveOptions = field(default_factory=WaveOptions)
+    seed: int = 0
+
+    @property
+    def label(self) -> str:
+        """What reports call the scene."""
+        return self.name
+
+    def fingerprint(self) -> dict[str, Any]:
+        """What decides the photographs, as plain values: all options, and the kind of scene."""
+        return {"scene": type(self).__name__, **asdict(self)}
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.index_ratio <= MAX_INDEX_RATIO:
+            raise ValueError(
+                f"index_ratio is {self.index_ratio:g}, but must lie between 1 and {MAX_INDEX_RATIO:g} (water: 1.333)"
+            )
+        if len(self.plane_tilt_deg) != 2 or not all(abs(turn) <= 45.0 for turn in self.plane_tilt_deg):
+            raise ValueError(f"plane_tilt_deg is {list(self.plane_tilt_deg)}, but must be two angles up to 45 degrees")
+        if not 0.0 <= self.reflection <= 255.0:
+            raise ValueError(f"reflection is {self.reflection:g}, but must be a grey value from 0 to 255")

@@ -1,0 +1,113 @@
+"""One photograph of a stage, before the sensor has its part in it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from torchrefrac.camera import Intrinsics
+from torchrefrac.geometry.surfaces import by_component
+from torchrefrac.parallel import side_by_side
+from torchrefrac.synthetic.fresnel import reflectance
+from torchrefrac.synthetic.options import SyntheticOptions
+from torchrefrac.synthetic.sight import Scenery, Sight
+from torchrefrac.synthetic.stage import Stage
+from torchrefrac.synthetic.waves import Waves
+
+TILE_RAYS = 1 << 15  # so many that their tensors stay in the processor's cache
+KEPT_BYTES = 1 << 29  # of rays that need not be undistorted again for every image
+
+
+@dataclass(frozen=True, eq=False)
+class Photographer:
+    """Takes photographs of a stage through water, samples x samples rays a pixel.
+
+    reflection: grey value of the sky that the water mirrors, 0 for a surface that mirrors nothing.
+    """
+
+    stage: Stage
+    scenery: Scenery
+    lens: Intrinsics
+    samples: int
+    reflection: float = 0.0
+
+    @classmethod
+    def of(cls, stage: Stage, options: SyntheticOptions) -> "Photographer":
+        """As the options say."""
+        camera = options.camera
+        return cls(
+            stage=stage,
+            scenery=Scenery(stage.pieces, options.index_ratio, Waves.draw(options.waves, options.seed)),
+            lens=Intrinsics.create(camera.width, camera.height, camera.focal, distortion=camera.distortion),
+            samples=options.sensor.samples,
+            reflection=options.reflection,
+        )
+
+    def look(self, image: int, pixels: Tensor) -> Sight:
+        """What camera number `image` sees at pixels (N, 2)."""
+        return self._look(image, self.lens.plane_from_pixels(pixels))
+
+    def take(self, image: int) -> Tensor:
+        """RGB (height, width, 3) from 0 to 255, float32: the mean colour over each pixel.
+
+        Pixels are divided evenly; rays are followed in double precision, tile by tile on as many threads as PyTorch
+        has. The result does not depend on their number.
+        """
+        self.look(image, self.lens.principal_point[None])  # surfaces prepare before several threads ask
+
+        def expose(tile: int) -> Tensor:
+            colors = self._colors(self._look(image, self._plane(tile)))
+            return colors.reshape(-1, self.samples**2, 3).mean(dim=1)
+
+        tiles = side_by_side(expose, range(len(self._tiles)))
+        return torch.cat(tiles).reshape(self.lens.height, self.lens.width, 3)
+
+    @cached_property
+    def _tiles(self) -> tuple[Tensor, ...]:
+        """Numbers of the pixels of each tile, in the order of the image."""
+        return torch.arange(self.lens.width * self.lens.height).split(max(1, TILE_RAYS // self.samples**2))
+
+    @cached_property
+    def _kept(self) -> dict[int, Tensor]:
+        return {}
+
+    def _plane(self, tile: int) -> Tensor:
+        """Ideal image-plane coordinates (pixels * samples^2, 2); they serve all images."""
+        if tile in self._kept:
+            return self._kept[tile]
+        numbers, s = self._tiles[tile], self.samples
+        corner = torch.stack((numbers % self.lens.width, numbers // self.lens.width), dim=-1)
+        within = (torch.arange(s, dtype=torch.float64) + 0.5) / s
+        offset = torch.cartesian_prod(within, within).flip(-1) if s > 1 else within.expand(1, 2)
+        plane = (corner[:, None] + offset - self.lens.principal_point).flatten(0, 1) / self.lens.focal
+        if not bool((self.lens.distortion == 0.0).all()):
+            plane = self.lens.plane_from_pixels((corner[:, None] + offset).flatten(0, 1))
+        plane = by_component(plane)
+        if self.lens.width * self.lens.height * s**2 * 2 * plane.element_size() <= KEPT_BYTES:
+            self._kept[tile] = plane
+        return plane
+
+    def _look(self, image: int, plane: Tensor) -> Sight:
+        rotation = self.stage.rotation[image]
+        x, y = plane.unbind(dim=-1)
+        directions = (rotation[:2].mT @ plane.mT + rotation[2][:, None]) / (x * x + y * y + 1.0).sqrt()
+        return self.scenery.look(self.stage.center[image], directions.mT)
+
+    def _colors(self, sight: Sight) -> Tensor:
+        """RGB (N, 3), float32."""
+        colors = torch.full((len(sight.piece), 3), self.stage.background)
+        for index, piece in enumerate(self.stage.pieces):
+            own = (sight.piece == index).nonzero()[:, 0]
+            if len(own):
+                colors[own] = piece.texture(sight.uv[own]) * self._light(sight.normal[own])
+        if self.reflection > 0.0:
+            share = torch.where(sight.in_water, reflectance(sight.cosine, self.scenery.index_ratio), 0.0).float()
+            colors = colors + share[:, None] * (self.reflection - colors)
+        return colors
+
+    def _light(self, normal: Tensor) -> Tensor:
+        """By how much surfaces of unit normals (N, 3) shine, (N, 1) float32."""
+        towards = torch.nn.functional.normalize(torch.tensor(self.stage.towards_light, dtype=normal.dtype), dim=-1)
+        light = self.stage.ambient + self.stage.direct * (normal @ towards).abs()
+        return light[:, None].float()

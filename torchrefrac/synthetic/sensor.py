@@ -1,0 +1,25 @@
+"""What the lens and the sensor make of the light: blur, noise, whole grey values."""
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrefrac.synthetic.options import SensorOptions
+from torchrefrac.synthetic.seeds import seeded
+
+
+def develop(light: Tensor, options: SensorOptions, seed: int, image: int) -> np.ndarray:
+    """The photograph (H, W, 3), uint8 RGB, of colours (H, W, 3) from 0 to 255, float32.
+
+    A Gaussian spot of the lens, Gaussian noise of each grey value, rounded. The noise depends on the seed and the
+    number of the image alone, so that images may be made in any order.
+    """
+    if options.blur > 0.0:
+        size = 2 * max(1, round(4.0 * options.blur)) + 1
+        blurred = cv2.GaussianBlur(light.numpy(), (size, size), options.blur, borderType=cv2.BORDER_REFLECT_101)
+        light = torch.from_numpy(blurred)
+    if options.noise > 0.0:
+        generator = seeded(seed, "noise", image)
+        light = light + options.noise * torch.randn(light.shape, generator=generator)
+    return light.round().clamp(0.0, 255.0).to(torch.uint8).numpy()

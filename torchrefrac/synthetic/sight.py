@@ -1,0 +1,131 @@
+"""What rays see that go straight through air and bend where they enter the water."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from torchrefrac.camera import RefractiveCamera
+from torchrefrac.geometry.surfaces import Nearest, by_component, nearest
+from torchrefrac.refraction import FlatInterface, refract_rays
+from torchrefrac.synthetic.stage import Piece
+from torchrefrac.synthetic.waves import Entry, Waves
+
+OVERLAP = 1e-6  # of the way to the water: a mesh that is met in single precision closes up with its part below
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What rays (N) see.
+
+    piece: index of the piece that the ray ends on, -1 where it ends on none. start (N, 3), way (N, 3) and length (N):
+    the last straight part of the ray, length infinite where it ends on nothing. uv (N, 2) and normal (N, 3) at its
+    end. in_water: whether that part lies in the water, which the ray then entered with `cosine` (N) of incidence.
+    """
+
+    start: Tensor
+    way: Tensor
+    length: Tensor
+    piece: Tensor
+    uv: Tensor
+    normal: Tensor
+    in_water: Tensor
+    cosine: Tensor
+
+    @property
+    def points(self) -> Tensor:
+        """Where the rays end (N, 3); NaN where they end on nothing."""
+        return torch.where((self.piece >= 0)[:, None], self.start + self.length[:, None] * self.way, torch.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Scenery:
+    """Pieces in and above water whose surface is z = 0, or has waves about it."""
+
+    pieces: Sequence[Piece]
+    index_ratio: float
+    waves: Waves | None = None
+
+    @cached_property
+    def below(self) -> tuple[int, ...]:
+        """Indices of the pieces that reach below some of the water surface."""
+        return tuple(i for i, (low, _) in enumerate(self._reach) if low < self.crest)
+
+    @cached_property
+    def above(self) -> tuple[int, ...]:
+        """Indices of the pieces that reach above some of the water surface."""
+        return tuple(i for i, (_, high) in enumerate(self._reach) if high > -self.crest)
+
+    @property
+    def crest(self) -> float:
+        """How high the water goes."""
+        return 0.0 if self.waves is None else self.waves.crest
+
+    @cached_property
+    def _reach(self) -> list[tuple[float, float]]:
+        levels = (piece.surface.triangles()[0][:, 2] for piece in self.pieces)
+        return [(float(z.min()), float(z.max())) for z in levels]
+
+    def look(self, center: Tensor, directions: Tensor) -> Sight:
+        """What rays see that start at center (3), above the water, along unit directions (N, 3).
+
+        A ray ends on what it meets before the water; else it is bent there and goes on. One that does not meet the
+        water goes on straight, and may meet what reaches above the water.
+        """
+        directions = by_component(directions)
+        entry, start = self._enter(center, directions)
+        wet = self._nearest(self.below, start, entry.direction)
+        wet = wet._replace(
+            length=torch.where(entry.valid, wet.length, torch.inf),
+            surface=torch.where(entry.valid, wet.surface, -1),
+        )
+        sight = Sight(start, entry.direction, wet.length, wet.surface, wet.uv, wet.normal, entry.valid, entry.cosine)
+        if not self.above:
+            return sight
+        dry = self._nearest(self.above, by_component(center.expand_as(directions)), directions)
+        return _first(sight, dry, center, directions, entry)
+
+    def _enter(self, center: Tensor, directions: Tensor) -> tuple[Entry, Tensor]:
+        if self.waves is not None:
+            entry = self.waves.enter(center, directions, self.index_ratio)
+            return entry, center + entry.length[:, None] * directions
+        start, onward, valid = refract_rays(center, directions, FlatInterface(self.index_ratio, check=False))
+        cosine = -directions[:, 2]
+        length = center[2] / torch.where(valid, cosine, 1.0)
+        return Entry(length, by_component(onward), cosine, valid), by_component(start)
+
+    def _nearest(self, chosen: Sequence[int], origins: Tensor, directions: Tensor) -> Nearest:
+        """`nearest` among some of the pieces, with their indices among all."""
+        found = nearest([self.pieces[i].surface for i in chosen], origins, directions)
+        if tuple(chosen) == tuple(range(len(self.pieces))):
+            return found
+        number = torch.tensor((*chosen, -1))
+        return found._replace(surface=number[found.surface])
+
+
+def see(pieces: Sequence[Piece], camera: RefractiveCamera, pixels: Tensor, waves: Waves | None = None) -> Sight:
+    """What one camera over water sees at pixels (N, 2); its interface is a water surface at z = 0.
+
+    With waves the interface gives nothing but its index ratio.
+    """
+    scenery = Scenery(pieces, float(camera.interface.index_like(camera.center_in_world)), waves)
+    return scenery.look(camera.center_in_world, camera.view_directions(pixels))
+
+
+def _first(sight: Sight, dry: Nearest, center: Tensor, directions: Tensor, entry: Entry) -> Sight:
+    """`sight` in the water, but what is met in air where that comes first, or where there is no water on the way."""
+    to_water = torch.where(entry.valid, (1.0 + OVERLAP) * entry.length, torch.inf)
+    is_dry = (dry.length < to_water) | ~entry.valid
+    column = is_dry[:, None]
+    return Sight(
+        start=torch.where(column, center, sight.start),
+        way=torch.where(column, directions, sight.way),
+        length=torch.where(is_dry, dry.length, sight.length),
+        piece=torch.where(is_dry, dry.surface, sight.piece),
+        uv=torch.where(column, dry.uv, sight.uv),
+        normal=torch.where(column, dry.normal, sight.normal),
+        in_water=~is_dry,
+        cosine=sight.cosine,
+    )

@@ -1,0 +1,93 @@
+"""Small waves on the water: where rays meet them, and how they bend there."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchrefrac.synthetic.options import WaveOptions
+from torchrefrac.synthetic.seeds import seeded
+
+SHORTEST = 0.125  # of the longest
+STEPS = 20
+CLOSE = 1e-12  # to the surface, times the length of the ray
+FLATTEST = 0.1  # a step is not longer than if the surface came that much slower towards the ray than calm water does
+
+
+class Entry(NamedTuple):
+    """Where rays (N) enter the water: length along the unit direction, unit direction in the water (N, 3), cosine of
+    incidence, and whether they meet the water at all; where they do not, the rest is meaningless, but finite."""
+
+    length: Tensor
+    direction: Tensor
+    cosine: Tensor
+    valid: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """z = sum of amplitude sin(number . (x, y) + phase): number (k, 2), amplitude (k), phase (k)."""
+
+    number: Tensor
+    amplitude: Tensor
+    phase: Tensor
+
+    @classmethod
+    def draw(cls, options: WaveOptions, seed: int) -> "Waves | None":
+        """Sines of random directions and phases, all equally steep; None for calm water.
+
+        Lengths are spread evenly in their logarithm from an eighth of the longest to the longest. The root mean square
+        of the slope, that is of the gradient's length, over all the water is `rms_slope`.
+        """
+        if options.rms_slope == 0.0:
+            return None
+        generator, k = seeded(seed, "waves"), options.components
+        turn, place, phase = torch.rand(3, k, generator=generator, dtype=torch.float64)
+        length = options.longest * SHORTEST ** ((torch.arange(k, dtype=torch.float64) + place) / k)
+        wave = 2.0 * math.pi / length
+        number = wave[:, None] * torch.stack(((2.0 * math.pi * turn).cos(), (2.0 * math.pi * turn).sin()), dim=-1)
+        return cls(number, options.rms_slope * math.sqrt(2.0 / k) / wave, 2.0 * math.pi * phase)
+
+    @property
+    def crest(self) -> float:
+        """No point of the surface is higher, nor deeper below z = 0."""
+        return float(self.amplitude.abs().sum())
+
+    def surface(self, xy: Tensor) -> tuple[Tensor, Tensor]:
+        """Height (N) and gradient (N, 2) at xy (N, 2)."""
+        angle = xy @ self.number.mT + self.phase
+        return angle.sin() @ self.amplitude, (angle.cos() * self.amplitude) @ self.number
+
+    def enter(self, center: Tensor, direction: Tensor, index_ratio: float) -> Entry:
+        """Rays from center (3) along unit directions (N, 3): Newton's method from where they would meet calm water.
+
+        A ray that goes upwards, one that Newton's method does not bring onto the surface (it is nearly level), and one
+        that comes to the back of a wave do not meet the water.
+        """
+        sinks = direction[:, 2] < 0.0
+        fall = torch.where(sinks, direction[:, 2], -1.0)
+        length = center[2] / -fall
+        height, slope = self.surface(center[:2] + length[:, None] * direction[:, :2])
+        for _ in range(STEPS):
+            gap = center[2] + length * direction[:, 2] - height
+            if bool((gap.abs() <= CLOSE * length).logical_or(~sinks).all()):
+                break
+            speed = direction[:, 2] - (slope * direction[:, :2]).sum(dim=-1)
+            length = length - gap / torch.minimum(speed, FLATTEST * fall)
+            height, slope = self.surface(center[:2] + length[:, None] * direction[:, :2])
+        gap = center[2] + length * direction[:, 2] - height
+        normal = torch.cat((-slope, torch.ones_like(slope[:, :1])), dim=-1)
+        normal = normal / normal.norm(dim=-1, keepdim=True)
+        cosine = -(normal * direction).sum(dim=-1)
+        valid = sinks & (length > 0.0) & (gap.abs() <= 1e3 * CLOSE * length) & (cosine > 0.0)
+        bent = bend(direction, normal, torch.where(valid, cosine, 1.0), index_ratio)
+        return Entry(torch.where(valid, length, 1.0), bent, cosine, valid)
+
+
+def bend(direction: Tensor, normal: Tensor, cosine: Tensor, index_ratio: float) -> Tensor:
+    """Snell's law in vector form: unit directions (N, 3) in the water of unit ones in air that come to a surface of
+    unit normals (N, 3), towards the air, with `cosine` (N) of incidence."""
+    onward = (1.0 - (1.0 - cosine.square()) / index_ratio**2).sqrt()
+    return direction / index_ratio + (cosine / index_ratio - onward)[:, None] * normal
