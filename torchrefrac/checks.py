@@ -10,6 +10,10 @@ from torch._C import _functorch  # pyright: ignore[reportAttributeAccessIssue]
 HALF = (torch.float16, torch.bfloat16)
 
 
+class TorchrefracError(Exception):
+    """Whatever the package raises for its user: one sentence that names the argument, file or field, and the remedy."""
+
+
 def require(
     value: Tensor | float,
     name: str,

@@ -11,7 +11,7 @@ from torch import Tensor
 from tests.dense.rendered_scenes import Rendered
 from torchrefrac.dense.images import Images
 from torchrefrac.recorder import Advance, SilentRecorder
-from torchrefrac.scene import Capture, Reconstruction
+from torchrefrac.scene import Cameras, Capture, Interfaces, Reconstruction
 
 EVERY = 12  # pixels from one sparse point to the next
 
@@ -45,8 +45,8 @@ def write_capture(rendered: Rendered, folder: Path, names: Sequence[str] = ()) -
         folder=folder,
         names=names,
         paths=paths,
-        intrinsics=rendered.cameras.intrinsics,
-        index_ratio=_index_ratio(rendered),
+        cameras=Cameras.of([rendered.cameras.intrinsics]),
+        interfaces=Interfaces.level(_index_ratio(rendered)),
         down_in_cam=-rendered.cameras.cam_from_world_rotation[:, :, 2],
         down_sigma=0.0,
         height=torch.zeros(count, dtype=torch.float64),

@@ -22,7 +22,7 @@ from torchrefrac.figures.matches import (
     spread,
 )
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.scene import Capture, Reconstruction
+from torchrefrac.scene import Cameras, Capture, Interfaces, Reconstruction
 from torchrefrac.sfm import VerifiedPair
 from torchrefrac.sfm.pose import PairPose
 
@@ -60,7 +60,16 @@ def photographed(make_basin, tmp_path):
         paths = tuple(Path(tmp_path / name) for name in names)
         flags = torch.zeros(cameras, dtype=torch.bool)
         capture = Capture(
-            tmp_path, names, paths, lens, basin.index_ratio, basin.down_in_cam, 0.01, basin.center[:, 2], flags, "cm"
+            tmp_path,
+            names,
+            paths,
+            Cameras.of([lens]),
+            Interfaces.level(basin.index_ratio),
+            basin.down_in_cam,
+            0.01,
+            basin.center[:, 2],
+            flags,
+            "cm",
         )
         pixels, seen = basin.project()
         point, image = seen.T.nonzero(as_tuple=True)

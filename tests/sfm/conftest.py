@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrefrac.features import Features, PairMatches
 from torchrefrac.geometry import so3_exp
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.scene import Capture, Tracks
+from torchrefrac.scene import Cameras, Capture, Interfaces, Tracks
 from torchrefrac.sfm.model import SparseModel
 
 
@@ -111,8 +111,8 @@ def survey_of(make_basin, draw, tmp_path) -> Callable[..., Survey]:
             folder=tmp_path,
             names=names,
             paths=tuple(Path(tmp_path / name) for name in names),
-            intrinsics=basin.lens,
-            index_ratio=basin.index_ratio,
+            cameras=Cameras.of([basin.lens]),
+            interfaces=Interfaces.level(basin.index_ratio),
             down_in_cam=(tilt @ basin.down_in_cam[..., None])[..., 0],
             down_sigma=float(torch.deg2rad(torch.tensor(max(gravity_error_deg, 0.01)))),
             height=basin.center[:, 2],

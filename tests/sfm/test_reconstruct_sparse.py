@@ -8,7 +8,7 @@ import torch
 from torchrefrac.features import PairMatches, build_tracks
 from torchrefrac.geometry import align_above_plane, align_similarity, split_heading
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.scene import Tracks
+from torchrefrac.scene import Cameras, Tracks
 from torchrefrac.sfm import (
     PairPose,
     PinholeInitializer,
@@ -182,7 +182,7 @@ def test_the_same_seed_gives_the_same_reconstruction_to_the_last_bit(survey_of, 
 def test_the_radial_terms_of_a_wrong_lens_are_refined_on_request(survey_of, reconstruct):
     survey = survey_of(points=200, noise=0.05, distortion=(-0.05, 0.02, 0.0, 0.0, 0.0))
     wrong = replace(survey.capture.intrinsics, distortion=survey.capture.intrinsics.distortion * 0.8)
-    survey = replace(survey, capture=replace(survey.capture, intrinsics=wrong))
+    survey = replace(survey, capture=replace(survey.capture, cameras=Cameras.of([wrong])))
     refine = replace(OPTIONS, bundle=replace(OPTIONS.bundle, refine=("radial",)))
 
     kept, refined = reconstruct(survey), reconstruct(survey, refine)

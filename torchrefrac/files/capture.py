@@ -8,7 +8,7 @@ import torch
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.files.fields import Fields, read_json
-from torchrefrac.scene.capture import Capture, CaptureError
+from torchrefrac.scene import Cameras, Capture, CaptureError, Interfaces
 
 FORMAT = "torchrefrac-capture/1"
 PIXEL_SHIFT = {"center": 0.5, "corner": 0.0}
@@ -47,8 +47,8 @@ def load_capture(folder: str | Path) -> Capture:
         folder=folder,
         names=names,
         paths=paths,
-        intrinsics=intrinsics,
-        index_ratio=read_index_ratio(top),
+        cameras=Cameras.of([intrinsics]),
+        interfaces=Interfaces.level(read_index_ratio(top)),
         down_in_cam=torch.tensor(
             [_gravity(image) if has_gravity else OPTICAL_AXIS for image in images], dtype=torch.float64
         ),

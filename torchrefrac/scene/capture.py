@@ -1,43 +1,104 @@
 """A capture: the photographs of one scene and what is known about them."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
+from torchrefrac.checks import TorchrefracError
+from torchrefrac.geometry import Rigid
+from torchrefrac.scene.cameras import Cameras
+from torchrefrac.scene.interfaces import Interfaces
+from torchrefrac.scene.observations import Observations
+from torchrefrac.scene.scene import Scene
+from torchrefrac.scene.views import Views
 
 
-class CaptureError(ValueError):
+class CaptureError(TorchrefracError, ValueError):
     """The capture cannot be used; the message names the file or field and the remedy."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Capture:
-    """Photographs with shared intrinsics, each with the direction of gravity where it is known.
+    """Photographs by names and paths, each with its camera, its interface and gravity where that is known.
 
-    names and paths of m images; down_in_cam (m, 3) unit vectors with an expected error of down_sigma radians, which
-    mean nothing unless has_gravity (they are the optical axes then, and down_sigma is infinite);
-    height (m) above the water in length_unit where has_height (m) says that it was measured; index_ratio is
-    n_water / n_air. heading (m): compass heading of the image's top after levelling, radians clockwise from north
-    (world +y), with an error of degrees; it means nothing unless has_heading, and reports alone look at it. folder:
-    where the capture was read from; truth, if any, lies beside it.
+    camera and interface: rows of the tables, by default the first. down_in_cam: unit vectors with an expected error of
+    down_sigma radians, which mean nothing unless has_gravity (they are the optical axes then, and down_sigma is
+    infinite); height above the water in length_unit where has_height says that it was measured. heading: compass
+    heading of the image's top after levelling, radians clockwise from north (world +y), with an error of degrees; it
+    means nothing unless has_heading, and reports alone look at it. folder: where the capture was read from; truth, if
+    any, lies beside it.
     """
 
     folder: Path
     names: tuple[str, ...]
     paths: tuple[Path, ...]
-    intrinsics: Intrinsics
-    index_ratio: float
-    down_in_cam: Tensor
+    cameras: Cameras
+    interfaces: Interfaces
+    down_in_cam: Float[Tensor, "m 3"]
     down_sigma: float
-    height: Tensor
-    has_height: Tensor
+    height: Float[Tensor, " m"]
+    has_height: Bool[Tensor, " m"]
     length_unit: str
     has_gravity: bool = True
-    heading: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
+    heading: Float[Tensor, " h"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
     has_heading: bool = False
+    camera: Int[Tensor, " c"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
+    interface: Int[Tensor, " c"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
+
+    def __post_init__(self) -> None:
+        for name in ("camera", "interface"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, torch.zeros(len(self.names), dtype=torch.long))
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """Those of the one camera. Raises CaptureError where there are several."""
+        if len(self.cameras) != 1:
+            raise CaptureError(f"{self.folder} has {len(self.cameras)} cameras, but only one can be used here")
+        return self.cameras[0]
+
+    @property
+    def index_ratio(self) -> float:
+        """n_water / n_air of the one interface. Raises CaptureError where there are several."""
+        if len(self.interfaces) != 1:
+            raise CaptureError(f"{self.folder} has {len(self.interfaces)} interfaces, but only one can be used here")
+        return float(self.interfaces.index_ratio[0])
+
+    def of_views(self, rows: Sequence[int]) -> "Capture":
+        """Some of the photographs, in this order."""
+        return replace(
+            self,
+            names=tuple(self.names[i] for i in rows),
+            paths=tuple(self.paths[i] for i in rows),
+            **{name: getattr(self, name)[list(rows)] for name in PER_VIEW if len(getattr(self, name))},
+        )
+
+    def scene(self, observations: Observations, colors: UInt8[Tensor, "n 3"], index_ratio: float) -> Scene:
+        """The scene before anything of it is known: views without poses, points (the tracks of `observations`) without
+        positions, behind interfaces of this index ratio."""
+        m, n = len(self), len(colors)
+        views = Views(self.names, Rigid.identity(m), self.camera, self.interface, torch.zeros(m, dtype=torch.bool))
+        ratio = torch.full_like(self.interfaces.index_ratio, index_ratio)
+        return Scene(
+            cameras=self.cameras,
+            views=views,
+            interfaces=replace(self.interfaces, index_ratio=ratio),
+            points=torch.zeros(n, 3, dtype=torch.float64),
+            colors=colors,
+            placed=torch.zeros(n, dtype=torch.bool),
+            observations=observations,
+            accepted=torch.zeros(len(observations), dtype=torch.bool),
+            length_unit=self.length_unit,
+        )
+
+
+PER_VIEW = ("down_in_cam", "height", "has_height", "heading", "camera", "interface")
+"""The fields of a capture that have a row for each photograph."""

@@ -1,0 +1,61 @@
+"""Interfaces: the flat surfaces through which views look."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchrefrac.geometry import Plane
+from torchrefrac.refraction import FlatInterface
+
+
+@dataclass(frozen=True, eq=False)
+class Interfaces:
+    """A table of water surfaces normal . x = offset in the world frame, with unit normals towards the cameras, and what
+    lies below: index_ratio is n_water / n_air."""
+
+    normal: Float[Tensor, "e 3"]
+    offset: Float[Tensor, " e"]
+    index_ratio: Float[Tensor, " e"]
+
+    @classmethod
+    def level(cls, index_ratio: float | Float[Tensor, ""], height: float = 0.0) -> "Interfaces":
+        """One horizontal surface, at z = 0 unless told otherwise."""
+        ratio = torch.as_tensor(index_ratio, dtype=torch.float64).reshape(1)
+        normal = ratio.new_tensor(((0.0, 0.0, 1.0),))
+        return cls(normal, ratio.new_full((1,), height), ratio)
+
+    def __len__(self) -> int:
+        return len(self.offset)
+
+    @cached_property
+    def is_level(self) -> bool:
+        """Whether there is one surface, the plane z = 0."""
+        return self.normal.tolist() == [[0.0, 0.0, 1.0]] and self.offset.tolist() == [0.0]
+
+    @property
+    def planes(self) -> Plane:
+        """All surfaces as a batch (e)."""
+        return Plane(self.normal, self.offset, check=False)
+
+    def of_views(self, interface: Any) -> FlatInterface:
+        """What views with the interfaces `interface` (*B) look through, as a batch (*B); not batched where there is one
+        for all."""
+        if len(self) == 1:
+            return FlatInterface(
+                self.index_ratio[0], plane=Plane() if self.is_level else self.planes.indexed(0, (1,)), check=False
+            )
+        return FlatInterface(
+            self.index_ratio[interface], plane=self.planes.indexed(interface, (len(self),)), check=False
+        )
+
+    def refract(self) -> bool:
+        """Whether any of them bends a ray."""
+        return bool((self.index_ratio > 1.0).any())
+
+    def detached(self) -> "Interfaces":
+        """The same without a graph."""
+        return Interfaces(self.normal.detach(), self.offset.detach(), self.index_ratio.detach())

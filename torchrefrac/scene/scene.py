@@ -1,0 +1,257 @@
+"""The scene: cameras, views, interfaces, points and observations, from the first pair of views to the last file."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int, UInt8
+from torch import Tensor
+
+from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.checks import TorchrefracError
+from torchrefrac.geometry import Rigid
+from torchrefrac.scene.cameras import Cameras
+from torchrefrac.scene.interfaces import Interfaces
+from torchrefrac.scene.observations import Observations
+from torchrefrac.scene.views import Views
+
+
+class SceneError(TorchrefracError, ValueError):
+    """The parts of a scene do not fit together, or something takes only scenes of a simpler kind."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """How well a scene is determined, as standard deviations; None: nothing can be said.
+
+    pixel_sigma: of a keypoint's coordinate, pixels, as estimated from the residuals. point_sigma of points and
+    center_sigma of registered views: of a coordinate, in length_unit, relative to the cameras as a whole;
+    center_covariance: of the centres in world axes, length_unit squared. index_ratio_sigma: None where it was given.
+    determined: sentences about water, intrinsics and scale; fixed: what was to be refined, but is not determined, and
+    why.
+    """
+
+    pixel_sigma: float | None = None
+    point_sigma: Float[Tensor, " n"] | None = None
+    center_sigma: Float[Tensor, " r"] | None = None
+    center_covariance: Float[Tensor, "r 3 3"] | None = None
+    index_ratio_sigma: float | None = None
+    determined: tuple[str, ...] = ()
+    fixed: Mapping[str, str] = field(default_factory=dict)
+
+
+class Part(NamedTuple):
+    """Those views and points of a scene that take part in something, renumbered: view and point say what they were."""
+
+    scene: "Scene"
+    view: Int[Tensor, " k"]
+    point: Int[Tensor, " p"]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What is known of a scene, at any stage; every step makes a new one.
+
+    World: z up, the (first) interface at z = 0 unless a file says otherwise; lengths in length_unit. Points have a
+    position where `placed`, and colours (RGB). Observations ascend by point; `accepted` are those that support a placed
+    point in a registered view. failures: why a view is not registered, by name.
+
+    Raises SceneError where shapes do not fit together, an index is out of range or observations do not ascend.
+    """
+
+    cameras: Cameras
+    views: Views
+    interfaces: Interfaces
+    points: Float[Tensor, "n 3"]
+    colors: UInt8[Tensor, "n 3"]
+    placed: Bool[Tensor, " n"]
+    observations: Observations
+    accepted: Bool[Tensor, " k"]
+    length_unit: str = "unit"
+    failures: Mapping[str, str] = field(default_factory=dict)
+    assessment: Assessment = field(default_factory=Assessment)
+
+    @classmethod
+    def create(
+        cls,
+        pose: Rigid,
+        intrinsics: Intrinsics | Sequence[Intrinsics],
+        interfaces: Interfaces,
+        points: Float[Tensor, "n 3"],
+        observations: Observations,
+        *,
+        names: Sequence[str] | None = None,
+        camera: Int[Tensor, " m"] | None = None,
+        interface: Int[Tensor, " m"] | None = None,
+        colors: UInt8[Tensor, "n 3"] | None = None,
+        length_unit: str = "unit",
+    ) -> "Scene":
+        """A scene in which every view is registered, every point placed and every observation accepted, checked.
+
+        By default views have the first camera and the first interface, and points are white.
+        """
+        device, count = points.device, len(points)
+        white = torch.full((count, 3), 255, dtype=torch.uint8, device=device)
+        scene = cls(
+            cameras=Cameras.of((intrinsics,) if isinstance(intrinsics, Intrinsics) else intrinsics),
+            views=Views.posed(pose, names, camera, interface),
+            interfaces=interfaces,
+            points=points,
+            colors=white if colors is None else colors,
+            placed=torch.ones(count, dtype=torch.bool, device=device),
+            observations=observations,
+            accepted=torch.ones(len(observations), dtype=torch.bool, device=device),
+            length_unit=length_unit,
+        )
+        scene.check()
+        return scene
+
+    def check(self) -> None:
+        """Raise SceneError where the tables do not fit together."""
+        m, n, k = len(self.views), len(self.points), len(self.observations)
+        shapes = {
+            "camera": (self.views.camera, (m,)),
+            "interface": (self.views.interface, (m,)),
+            "rotation": (self.views.rotation, (m, 3, 3)),
+            "center": (self.views.center, (m, 3)),
+            "points": (self.points, (n, 3)),
+            "colors": (self.colors, (n, 3)),
+            "view": (self.observations.view, (k,)),
+            "point": (self.observations.point, (k,)),
+            "pixels": (self.observations.pixels, (k, 2)),
+        }
+        for name, (value, wanted) in shapes.items():
+            if tuple(value.shape) != wanted:
+                raise SceneError(
+                    f"{name} has shape {tuple(value.shape)}, but must have {wanted} with {m} views, {n} points and {k} "
+                    "observations"
+                )
+        indices = (("camera", len(self.cameras)), ("interface", len(self.interfaces)), ("view", m), ("point", n))
+        for name, count in indices:
+            _require_index(shapes[name][0], name, count)
+        if bool((self.observations.point.diff() < 0).any()):
+            raise SceneError("point does not ascend; sort the observations by point")
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """Those of the one camera. Raises SceneError where there are several."""
+        if len(self.cameras) != 1:
+            raise SceneError(f"the scene has {len(self.cameras)} cameras, but only one can be used here")
+        return self.cameras[0]
+
+    @property
+    def index_ratio(self) -> float:
+        """n_water / n_air of all interfaces. Raises SceneError where they differ."""
+        ratio = self.interfaces.index_ratio
+        if bool((ratio != ratio[0]).any()):
+            raise SceneError(f"the interfaces have index ratios {ratio.tolist()}, but only one can be used here")
+        return float(ratio[0])
+
+    def camera_of(self, view: Any = slice(None)) -> RefractiveCamera:
+        """The cameras of views (*B) as a batch (*B), by default of all; of views that are not registered they mean
+        nothing."""
+        views = self.views
+        intrinsics = self.cameras.of_views(views.camera[view])
+        interface = self.interfaces.of_views(views.interface[view])
+        return RefractiveCamera(intrinsics, views.rotation[view], views.center[view], interface, check=False)
+
+    def errors(self) -> Float[Tensor, " k"]:
+        """Reprojection errors in pixels; inf where there is no pose, no position or no projection."""
+        seen = self.observations
+        usable = self.views.registered[seen.view] & self.placed[seen.point]
+        result = torch.full_like(seen.pixels[:, 0], torch.inf)
+        seen = seen[rows := usable.nonzero()[:, 0]]
+        result[rows] = reprojection_errors(self.camera_of(seen.view), self.points[seen.point], seen.pixels)
+        return result
+
+    def support(self) -> Int[Tensor, " m"]:
+        """How many accepted observations each view has."""
+        return torch.bincount(self.observations.view[self.accepted], minlength=len(self.views))
+
+    def part(self, min_observations: int = 1) -> Part:
+        """Registered views, the points with so many accepted observations, and these observations."""
+        rows = self.accepted & self.placed[self.observations.point]
+        if min_observations > 1:
+            count = torch.bincount(self.observations.point[rows], minlength=len(self.points))
+            rows = rows & (count >= min_observations)[self.observations.point]
+        view = self.views.registered.nonzero()[:, 0]
+        seen = self.observations[rows.nonzero()[:, 0]]
+        ids, point = torch.unique_consecutive(seen.point, return_inverse=True)
+        slot = self.views.registered.long().cumsum(dim=0) - 1
+        scene = replace(
+            self,
+            views=self.views[view],
+            points=self.points[ids],
+            colors=self.colors[ids],
+            placed=self.placed[ids],
+            observations=replace(seen, view=slot[seen.view], point=point),
+            accepted=torch.ones_like(seen.point, dtype=torch.bool),
+        )
+        return Part(scene, view, ids)
+
+    def with_part(self, part: Part, changed: "Scene") -> "Scene":
+        """With the poses and points of a part, and with all cameras and interfaces, as they are in `changed`."""
+        return replace(
+            self,
+            cameras=changed.cameras,
+            interfaces=changed.interfaces,
+            views=self.views.at(changed.views.rotation, changed.views.center, part.view),
+            points=self.points.index_copy(0, part.point, changed.points),
+        )
+
+    def of_views(self, wanted: Bool[Tensor, " m"]) -> "Scene":
+        """Only those views and their observations; all points and cameras stay."""
+        observed = wanted[self.observations.view]
+        seen = self.observations[observed]
+        return replace(
+            self,
+            views=self.views[wanted.nonzero()[:, 0]],
+            observations=replace(seen, view=(wanted.cumsum(dim=0) - 1)[seen.view]),
+            accepted=self.accepted[observed],
+        )
+
+    def trimmed(self) -> "Scene":
+        """Only accepted observations and points that have some; all views stay."""
+        seen = self.observations[self.accepted]
+        ids, point = torch.unique_consecutive(seen.point, return_inverse=True)
+        return replace(
+            self,
+            points=self.points[ids],
+            colors=self.colors[ids],
+            placed=self.placed[ids],
+            observations=replace(seen, point=point),
+            accepted=self.accepted[self.accepted],
+        )
+
+    def cleaned(self) -> "Scene":
+        """Without repeated observations of a point in one view, of which the first stays, and then without the points
+        that have fewer than two."""
+        seen, n = self.observations, len(self.points)
+        order = (seen.point * len(self.views) + seen.view).argsort(stable=True)
+        repeats = (seen.point[order].diff() == 0) & (seen.view[order].diff() == 0)
+        first = torch.ones_like(self.accepted)
+        first[order[1:][repeats]] = False
+        several = torch.bincount(seen.point[first], minlength=n) >= 2
+        return replace(self, accepted=first & several[seen.point]).trimmed()
+
+
+def reprojection_errors(
+    cameras: RefractiveCamera, points: Float[Tensor, "*#batch 3"], pixels: Float[Tensor, "*#batch 2"]
+) -> Float[Tensor, "*#batch"]:
+    """Distances in the image between projected points and pixels; inf where a point cannot be seen."""
+    projected, valid = cameras.project(points)
+    return torch.where(valid, (projected - pixels).norm(dim=-1), torch.inf)
+
+
+def mean_deviation(covariance: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch"]:
+    """Standard deviation of a coordinate: the root of the mean variance along an axis."""
+    return covariance.diagonal(dim1=-2, dim2=-1).mean(dim=-1).clamp(min=0.0).sqrt()
+
+
+def _require_index(index: Int[Tensor, " k"], name: str, count: int) -> None:
+    """Refuse what does not count from 0 to `count` - 1."""
+    if index.dtype != torch.long:
+        raise SceneError(f"{name} has dtype {index.dtype}, but must be torch.long")
+    if len(index) and not 0 <= int(index.min()) <= int(index.max()) < count:
+        raise SceneError(f"{name} runs from {int(index.min())} to {int(index.max())}, but must lie in 0 to {count - 1}")
