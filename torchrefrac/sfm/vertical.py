@@ -18,7 +18,7 @@ from torchrefrac.features import Features, PairMatches
 from torchrefrac.geometry import rotate
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture
-from torchrefrac.sfm.options import SfmOptions
+from torchrefrac.sfm.rules import SfmOptions
 from torchrefrac.sfm.unknown_vertical import find_verticals, pinhole_rotation
 
 PAIRS_PER_IMAGE = 3
