@@ -1,6 +1,7 @@
 """Where rays meet, whether they stay in air or enter the water."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -12,7 +13,8 @@ from torchrefrac.minimal import triangulate, triangulation_angle
 from torchrefrac.scene import Scene
 
 
-class Rays(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Rays:
     """What pixels look along: from the centre through air, and from the surface through water."""
 
     center: Float[Tensor, "*batch 3"]
@@ -26,7 +28,7 @@ class Rays(NamedTuple):
         origin, in_air, in_water, _ = cameras.follow_rays(pixels)
         return cls(cameras.center_in_world.expand_as(origin), in_air, origin, in_water)
 
-    def __getitem__(self, rows: Tensor) -> "Rays":  # type: ignore[override]
+    def __getitem__(self, rows: Int[Tensor, "..."]) -> "Rays":
         return Rays(*(part[rows] for part in (self.center, self.in_air, self.origin, self.in_water)))
 
     def meet(
