@@ -1,6 +1,5 @@
 """Curves, histograms, pictures, clouds and the table of runs for TensorBoard."""
 
-import math
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -11,6 +10,7 @@ from typing import Any, TypeVar
 import cv2
 from torch import Tensor
 
+from torchrefrac.files.run import is_number
 from torchrefrac.recorder import Advance, SilentRecorder
 
 T = TypeVar("T")
@@ -110,7 +110,7 @@ class TensorBoardRecorder(SilentRecorder):
         from torch.utils.tensorboard.summary import hparams  # noqa: PLC0415 - slow to import
 
         chosen = {name: value for name, value in options.items() if isinstance(value, str | int | float | bool)}
-        numbers = {name: float(value) for name, value in metrics.items() if _is_number(value)}
+        numbers = {name: float(value) for name, value in metrics.items() if is_number(value)}
         reached = {f"metrics/{name}": numbers[name] for name in sorted(numbers, key=_column)}
         experiment, start, end = hparams(chosen, reached)
         writer = self._writer._get_file_writer()
@@ -140,7 +140,3 @@ def remove_events(folder: Path) -> None:
 def _column(name: str) -> int:
     first = next((i for i, start in enumerate(COLUMNS) if name.startswith(start)), len(COLUMNS))
     return len(COLUMNS) + 1 if name.startswith(LAST) else first
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
