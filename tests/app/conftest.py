@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from torchrefrac import cli
+from torchrefrac import launch
 from torchrefrac.cli import commands, sweeps
 from torchrefrac.commands import densify as densification
 from torchrefrac.commands import reconstruct as pipeline
@@ -41,7 +41,7 @@ def torchrefrac(monkeypatch, capsys, tmp_path):
             monkeypatch.setattr(sweeps, "write_sweep_report", lambda folder, runs: None)
         monkeypatch.setattr(sys, "argv", ["torchrefrac", *arguments])
         try:
-            cli.main()
+            launch.main()
             status = 0
         except SystemExit as end:
             status = int(end.code or 0)

@@ -13,7 +13,8 @@ from hydra import compose, initialize_config_dir
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
-from torchrefrac.cli import CONF, densify_options
+from torchrefrac.cli.composed import densify_options
+from torchrefrac.cli.conf import CONF
 from torchrefrac.commands import dense_outputs, run_folder
 from torchrefrac.commands import densify as densification
 from torchrefrac.config import DensifyOptions, OptionError, Options, build
@@ -468,7 +469,7 @@ def test_the_yaml_defaults_are_those_of_the_typed_options():
 def test_the_command_explains_itself(torchrefrac):
     told = torchrefrac("densify", "--help").out
 
-    for words in ("torchrefrac densify run=DIR", "dense=depthmap", "outputs    which files", "run: ???", "cell: 3"):
+    for words in ("torchrefrac densify run=DIR", "dense=depthmap", "outputs.mesh=true", "run=VALUE", "dense.cell=3"):
         assert words in told
     assert max(map(len, told.splitlines())) <= 100
     assert "torchrefrac densify run=DIR" in torchrefrac("--help").out

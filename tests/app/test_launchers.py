@@ -10,7 +10,8 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from torchrefrac.cli import CONF, commands
+from torchrefrac.cli import commands
+from torchrefrac.cli.conf import CONF
 
 ONE_FAILS = ("model=refractive", "water.index_ratio=1.33,abc", "features.max_features=300")
 

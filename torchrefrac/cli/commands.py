@@ -14,7 +14,8 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from torchrefrac.cli.arguments import typed
-from torchrefrac.cli.composed import CONF, adjust_options, densify_options, run_options
+from torchrefrac.cli.composed import adjust_options, densify_options, run_options
+from torchrefrac.cli.conf import CONF
 from torchrefrac.cli.failures import EXPECTED, keep_failure, tell
 from torchrefrac.commands.adjust import adjust_run, require_apart
 from torchrefrac.commands.densify import SparseRun, densify_run, open_run
