@@ -21,7 +21,7 @@ What is computed when, for N observations of w reduced unknowns each:
     small dense products, about 160 n t^2 flops for eliminated blocks that meet t reduced ones, and size^3 / 3 flops of
     Cholesky. Exact also in directions that are all but flat.
   - iterative, beyond: conjugate gradients on S x = E (V^-1 (E^T x)), about 4 N r (w + 3) flops and two passes over the
-    rows an iteration, no memory beyond vectors; a block-diagonal preconditioner and a coarse correction for weak directions.
+    rows an iteration, no memory beyond vectors; preconditioned block by block and along a few weak directions.
 - once at the end, `Covariance` and `GaussNewtonInverse`: dense, size^3 flops, up to MAX_COVARIANCE = 12000 unknowns.
 """
 
