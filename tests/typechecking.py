@@ -15,12 +15,13 @@ from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from inspect import Parameter, Signature, isgeneratorfunction, signature
 from types import ModuleType
-from typing import Any, get_type_hints
+from typing import Any, get_type_hints, runtime_checkable
 
 import torch
 from beartype import BeartypeConf
 from beartype.door import is_bearable
-from jaxtyping import jaxtyped
+from jaxtyping import _storage
+from typing_extensions import is_protocol
 
 PACKAGE = "torchrefrac"
 NAME = "__checked__"  # of the decorator in the modules of the package
@@ -46,7 +47,7 @@ def checked(item: Any) -> Any:
             item.__init__ = checked(item.__init__)
         elif issubclass(item, tuple) and "__new__" in vars(item):
             item.__new__ = checked(item.__new__)
-        return item
+        return runtime_checkable(item) if is_protocol(item) else item
     if isgeneratorfunction(item) or "jaxtyping." not in repr(getattr(item, "__annotations__", {})):
         return item
     return _with_checks(item)
@@ -64,17 +65,22 @@ def _with_checks(function: Callable[..., Any]) -> Callable[..., Any]:
             return function(*args, **kwargs)
         if not hints:  # at the first call all names that stand in strings are known
             hints.update(_hints(function, of))
-        given = of.bind(*args, **kwargs).arguments
-        with jaxtyped("context"):
+        bound = of.bind(*args, **kwargs)
+        given = dict(bound.arguments)
+        bound.apply_defaults()
+        _storage.push_shape_memo(bound.arguments)  # a call's own sizes; `jaxtyped("context")` knows no "{count}"
+        try:
             misfits = [key for key, value in given.items() if not is_bearable(value, hints[key], conf=CONF)]
             result = function(*args, **kwargs)
             if misfits:
                 key = misfits[0]
-                raise SignatureError(f"{name} accepts {key} = {_told(given[key])}, but states {hints[key]}")
+                raise SignatureError(f"{name} accepts {key} = {_in_short(given[key])}, but states {hints[key]}")
             if not is_bearable(result, hints["return"], conf=CONF):
-                sizes = ", ".join(f"{key} = {_told(value)}" for key, value in given.items())
-                raise SignatureError(f"{name} gives {_told(result)}, but states {hints['return']}; of {sizes}")
-        return result
+                sizes = ", ".join(f"{key} = {_in_short(value)}" for key, value in given.items())
+                raise SignatureError(f"{name} gives {_in_short(result)}, but states {hints['return']}; of {sizes}")
+            return result
+        finally:
+            _storage.pop_shape_memo()
 
     return with_checks
 
@@ -94,12 +100,12 @@ def _hints(function: Callable[..., Any], of: Signature) -> dict[str, Any]:
     return hints
 
 
-def _told(value: Any) -> str:
+def _in_short(value: Any) -> str:
     """A value in short: of tensors the kind and the shape."""
     if hasattr(value, "shape") and hasattr(value, "dtype"):
         return f"{value.dtype}{list(value.shape)}"
     if isinstance(value, list | tuple):
-        return f"({', '.join(map(_told, value[:6]))})"
+        return f"({', '.join(map(_in_short, value[:6]))})"
     return repr(value)[:80]
 
 
