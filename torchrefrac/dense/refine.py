@@ -6,12 +6,12 @@ import torch
 from torch import Tensor
 
 from torchrefrac.dense.judge import fewest_others, judge
+from torchrefrac.dense.neighbours import angle_between, fitness
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.photometric import Comparison, unit_windows
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.scope import Scope
-from torchrefrac.dense.view_angle import angle_between, fitness
 from torchrefrac.dense.window import Window
 from torchrefrac.optim.batched import minimize_each
 from torchrefrac.parallel import side_by_side

@@ -10,7 +10,6 @@ from torchrefrac.scene.raster import Raster
 from torchrefrac.scene.reconstruction import Assessment, Reconstruction
 from torchrefrac.scene.scene import Part, Scene, SceneError, mean_deviation, reprojection_errors
 from torchrefrac.scene.survey import Survey, SurveyError
-from torchrefrac.scene.tracks import Tracks
 from torchrefrac.scene.truth import Truth, TruthPoints
 from torchrefrac.scene.views import Views
 
@@ -32,7 +31,6 @@ __all__ = [
     "SceneError",
     "Survey",
     "SurveyError",
-    "Tracks",
     "Truth",
     "TruthPoints",
     "Views",
