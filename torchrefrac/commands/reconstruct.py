@@ -71,7 +71,7 @@ def reconstruct(
     recorder.scalar("tracks/count", len(colors), 0)
     recorder.scalar("tracks/observations", len(observations), 0)
     recorder.histogram("tracks/length", torch.bincount(observations.point), 0)
-    scene = capture.scene(observations, colors, initializer.index_ratio)
+    scene = Scene.of_capture(capture, observations, colors, initializer.index_ratio)
     return stage("sparse", lambda: reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder))
 
 
