@@ -15,12 +15,13 @@ from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from inspect import Parameter, Signature, isgeneratorfunction, signature
 from types import ModuleType
-from typing import Any, get_type_hints
+from typing import Any, get_type_hints, runtime_checkable
 
 import torch
 from beartype import BeartypeConf
 from beartype.door import is_bearable
 from jaxtyping import _storage
+from typing_extensions import is_protocol
 
 PACKAGE = "torchrefrac"
 NAME = "__checked__"  # of the decorator in the modules of the package
@@ -46,7 +47,7 @@ def checked(item: Any) -> Any:
             item.__init__ = checked(item.__init__)
         elif issubclass(item, tuple) and "__new__" in vars(item):
             item.__new__ = checked(item.__new__)
-        return item
+        return runtime_checkable(item) if is_protocol(item) else item
     if isgeneratorfunction(item) or "jaxtyping." not in repr(getattr(item, "__annotations__", {})):
         return item
     return _with_checks(item)

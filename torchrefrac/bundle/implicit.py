@@ -23,7 +23,7 @@ from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.bundle.rows import differentiable_rows
 from torchrefrac.bundle.state import BundleState, Links, Observations
 from torchrefrac.bundle.terms import Term
-from torchrefrac.optim import GaussNewtonInverse, Step, conjugate_gradients, robust
+from torchrefrac.optim import REDUCED_SIZE, GaussNewtonInverse, Step, conjugate_gradients, robust
 
 MAX_STEPS = 100
 TOLERANCE = 1e-12
@@ -116,11 +116,11 @@ def _gradient(problem: BundleProblem, state: BundleState) -> Tensor:
         square = residual.square().sum(dim=0)
         pull = residual * robust(square, options.loss, options.loss_scale)[1] * seen.weights
         force = (by * pull[:, None]).sum(dim=0)
-        own = force[:-3].T
+        own = force[plan.layout.reduced].T
         if layout.held is not None:
-            own = torch.cat((own[:, :6] * (~layout.held)[seen.camera], own[:, 6:]), dim=1)
+            own = torch.cat((own[:, :REDUCED_SIZE] * (~layout.held)[seen.camera], own[:, REDUCED_SIZE:]), dim=1)
         kept = kept.index_add(0, plan.columns[seen.camera].flatten(), own.flatten())
-        points = points.index_add(0, seen.point, force[-3:].T)
+        points = points.index_add(0, seen.point, force[plan.layout.eliminated].T)
     for term in problem.terms:
         value, jacobian, columns = term.residuals(state, layout)
         pull = options.pixel_sigma**2 * (jacobian.mT @ value[..., None])[..., 0]

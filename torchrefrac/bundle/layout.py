@@ -13,9 +13,7 @@ from torch import Tensor
 from torchrefrac.bundle.rows import LENS, WATER_WIDTH
 from torchrefrac.bundle.state import BundleState, Links
 from torchrefrac.geometry import Plane, so3_exp
-from torchrefrac.optim import Family, Step
-
-POSE_SIZE = 6
+from torchrefrac.optim import REDUCED_SIZE, Family, Step
 
 
 @dataclass(frozen=True)
@@ -103,28 +101,28 @@ class Layout:
 
     @property
     def first_kept(self) -> int:
-        return POSE_SIZE * self.num_cameras + sum(family.size * family.count for family in self.families)
+        return REDUCED_SIZE * self.num_cameras + sum(family.size * family.count for family in self.families)
 
     def pose_columns(self, image: Tensor) -> Tensor:
         """Of rotation and centre of images (k): (k, 6)."""
-        columns = POSE_SIZE * image[:, None] + torch.arange(POSE_SIZE, device=image.device)
+        columns = REDUCED_SIZE * image[:, None] + torch.arange(REDUCED_SIZE, device=image.device)
         return columns if self.held is None else torch.where(self.held[image], self.size, columns)
 
     def lens_columns(self, name: str, lens: Tensor) -> Tensor:
         """Of one kind of unknown of lenses (k): (k, its width)."""
         before = sum(LENS[other].width for other in self.lens[: self.lens.index(name)])
-        first = POSE_SIZE * self.num_cameras + self._lens_size * lens + before
+        first = REDUCED_SIZE * self.num_cameras + self._lens_size * lens + before
         return first[:, None] + torch.arange(LENS[name].width, device=lens.device)
 
     def index_column(self) -> int:
         """Of the index ratio."""
         if "index_ratio" not in self.water:
             return self.size
-        return POSE_SIZE * self.num_cameras + self._lens_size * self.num_lenses
+        return REDUCED_SIZE * self.num_cameras + self._lens_size * self.num_lenses
 
     def plane_columns(self, plane: Tensor) -> Tensor:
         """Of the two tilts and the height of planes (k): (k, 3)."""
-        first = POSE_SIZE * self.num_cameras + self._lens_size * self.num_lenses + ("index_ratio" in self.water)
+        first = REDUCED_SIZE * self.num_cameras + self._lens_size * self.num_lenses + ("index_ratio" in self.water)
         columns = torch.full((len(plane), 3), self.size, device=plane.device)
         start = first + self._plane_size * plane[:, None]
         tilts = 2 if "plane_tilt" in self.water else 0
@@ -140,15 +138,15 @@ class Layout:
         return self.first_kept + 3 * slot[point][:, None] + torch.arange(3, device=point.device)
 
     def retract(self, state: BundleState, step: Step) -> BundleState:
-        """The state after a step; step.point (n - kept, 3) moves the points that are not kept."""
+        """The state after a step; step.eliminated (n - kept, 3) moves the points that are not kept."""
         m = self.num_cameras
-        blocks = step.kept[: POSE_SIZE * m].view(m, POSE_SIZE)
+        blocks = step.reduced[: REDUCED_SIZE * m].view(m, REDUCED_SIZE)
         points = state.points
         if self.kept is not None:
-            points = points.index_add(0, self.kept_points, step.kept[self.first_kept :].view(-1, 3))
-            points = points.index_add(0, self.free_points, step.point)
+            points = points.index_add(0, self.kept_points, step.reduced[self.first_kept :].view(-1, 3))
+            points = points.index_add(0, self.free_points, step.eliminated)
         elif not self.hold_points:
-            points = points + step.point
+            points = points + step.eliminated
         moved = replace(
             state,
             rotation=so3_exp(blocks[:, :3]) @ state.rotation,
@@ -156,8 +154,8 @@ class Layout:
             points=points,
         )
         if self.lens:
-            moved = replace(moved, lens=self._moved_lens(state, step.kept))
-        return self._moved_water(moved, step.kept) if self.water else moved
+            moved = replace(moved, lens=self._moved_lens(state, step.reduced))
+        return self._moved_water(moved, step.reduced) if self.water else moved
 
     def _moved_lens(self, state: BundleState, kept: Tensor):
         lens, shape = state.lens, state.lens.shape

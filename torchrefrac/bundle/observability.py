@@ -98,7 +98,7 @@ def determinations(problem: BundleProblem, state: BundleState, pixel_sigma: floa
         if functional is None:
             functional = motions.new_zeros(layout.size)
             functional[column] = 1.0
-        return pixel_sigma * _deviation(found.kept, _against_cameras(functional, motions, held, weights))
+        return pixel_sigma * _deviation(found.reduced, _against_cameras(functional, motions, held, weights))
 
     result = []
     for name in layout.lens:
@@ -110,7 +110,7 @@ def determinations(problem: BundleProblem, state: BundleState, pixel_sigma: floa
     result.append(_judged("plane_tilt", tilt, 180.0 / math.pi, expected.sigma_of("plane_tilt")))
     above = max(deviation(plane[2], by) for plane, by in zip(planes, _by_heights(state, layout), strict=True))
     result.append(_judged("plane_height", above, 1.0 / height, expected.plane_height))
-    result.append(Determination("scale", _scale_deviation(found.kept, motions, held, weights, gauge) * pixel_sigma))
+    result.append(Determination("scale", _scale_deviation(found.reduced, motions, held, weights, gauge) * pixel_sigma))
     return result
 
 

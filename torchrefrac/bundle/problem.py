@@ -14,7 +14,7 @@ from torchrefrac.bundle.rows import RowModel, observation_rows
 from torchrefrac.bundle.state import BundleState, Observations
 from torchrefrac.bundle.terms import GlobalPrior, Term
 from torchrefrac.numerics import morton_code
-from torchrefrac.optim import Blocks, Linearized, SchurPlan, Step, linearize
+from torchrefrac.optim import REDUCED_SIZE, Blocks, Linearized, SchurPlan, Step, linearize
 
 
 @dataclass(frozen=True)
@@ -50,15 +50,12 @@ class BundleProblem:
             seen, kept_seen = observations[~among], observations[among]
             id_of = torch.cumsum((~layout.kept).long(), dim=0) - 1
         free = state.points[layout.free_points]
-        plan = SchurPlan.create(
-            seen.camera,
-            seen.point if id_of is None else id_of[seen.point],
-            layout.num_cameras,
-            len(free),
-            layout.families,
-            3 * layout.num_kept,
-            locality=morton_code(free),
-        )
+        point = seen.point if id_of is None else id_of[seen.point]
+        sizes = layout.num_cameras, len(free), layout.families, 3 * layout.num_kept
+        try:
+            plan = SchurPlan.create(seen.camera, point, *sizes, locality=morton_code(free))
+        except ValueError as error:
+            raise ValueError("a camera sees a point twice; each pair of camera and point may occur once") from error
         expected = (
             GlobalPrior(name, state, sigma)
             for name in (*layout.lens, *layout.water)
@@ -128,7 +125,7 @@ class BundleProblem:
     def unknowns_per_residual(self) -> float:
         """Free unknowns over numbers measured."""
         layout = self.layout
-        unknowns = layout.size - 6 * layout.num_cameras if layout.held is not None else layout.size
+        unknowns = layout.size - REDUCED_SIZE * layout.num_cameras if layout.held is not None else layout.size
         if layout.held is not None:
             unknowns += int((~layout.held).sum())
         if not layout.hold_points:
@@ -141,9 +138,9 @@ class BundleProblem:
     def _rows(self, state: BundleState, seen: Observations, out: Tensor | None = None) -> tuple[Tensor, Tensor]:
         rows, cost = observation_rows(self.rows_of, state, self.layout.links, seen, self.options.compiled, out)
         if self.layout.held is not None:
-            rows[:, :6].mul_((~self.layout.held)[seen.camera].T)
+            rows[:, self.plan.layout.block].mul_((~self.layout.held)[seen.camera].T)
         if self.layout.hold_points:
-            rows[:, -4:-1] = 0.0
+            rows[:, self.plan.layout.eliminated] = 0.0
         return rows, cost
 
 

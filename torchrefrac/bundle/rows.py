@@ -13,8 +13,7 @@ from torchrefrac.bundle.state import BundleState, Links, Observations
 from torchrefrac.camera import Intrinsics, projection_parts
 from torchrefrac.camera.jacobians import Axes
 from torchrefrac.geometry import Plane
-from torchrefrac.optim import LossName, robust
-from torchrefrac.optim.normal_equations import in_cache
+from torchrefrac.optim import LossName, RowLayout, in_cache, robust
 from torchrefrac.refraction import FlatInterface
 
 IMPOSSIBLE_PX = 1e3
@@ -56,9 +55,10 @@ class RowModel:
     frozen_ratio: bool = False
 
     @property
-    def width(self) -> int:
-        """How many unknowns an observation depends on beside its point's."""
-        return 6 + sum(LENS[name].width for name in self.lens) + sum(WATER_WIDTH[name] for name in self.water)
+    def layout(self) -> RowLayout:
+        """Of the rows; lens and water as one family each."""
+        lens, water = (LENS[name].width for name in self.lens), (WATER_WIDTH[name] for name in self.water)
+        return RowLayout.of(sum(lens), sum(water))
 
 
 def observation_rows(
@@ -69,7 +69,7 @@ def observation_rows(
     compiled: bool = False,
     out: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Rows (2, width + 4, N), weighted, and the cost of the observations, a scalar.
+    """Rows (2, layout.size, N), weighted, and the cost of the observations, a scalar.
 
     Per observation: derivatives in the pose (rotation, centre), in the lens, in the water, in the point; the residual
     (projection minus pixel). The loss is of the reprojection error, and weighted as a whole. An impossible observation
@@ -77,7 +77,7 @@ def observation_rows(
     rows, if its shape is theirs.
     """
     tables = _Tables.of(state, links)
-    shape = (2, model.width + 4, len(seen))
+    shape = (2, model.layout.size, len(seen))
     rows = out if out is not None and out.shape == shape else seen.pixels.new_empty(shape)
     cost = seen.pixels.new_zeros(())
     for here in in_cache(len(seen), COMPILED_BLOCK if compiled else BLOCK):
@@ -95,7 +95,7 @@ def observation_rows(
 
 
 def differentiable_rows(model: RowModel, state: BundleState, links: Links, seen: Observations) -> tuple[Tensor, Tensor]:
-    """Derivatives (2, width + 3, N) and residuals (2, N), not weighted, zero where impossible: both with a graph."""
+    """Derivatives (2, layout.size - 1, N) and residuals (2, N), not weighted, zero where impossible; with a graph."""
     rows, _ = _rows(replace(model, loss="squared"), *_Tables.of(state, links).gather(seen))
     return rows[:, :-1], rows[:, -1]
 

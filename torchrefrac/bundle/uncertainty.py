@@ -48,14 +48,14 @@ def uncertainty(problem: BundleProblem, state: BundleState, pixel_sigma: float |
     sigma = estimate_pixel_sigma(problem, state) if pixel_sigma is None else pixel_sigma
     plain = replace(problem, options=replace(options, loss="squared", pixel_sigma=sigma))
     found = Covariance.of(plain.linearize(state).system)
-    kept = found.kept * sigma**2
+    kept = found.reduced * sigma**2
     points = kept.new_zeros(layout.num_points, 3, 3)
     if layout.kept is not None:
-        points[layout.free_points] = found.points() * sigma**2
+        points[layout.free_points] = found.eliminated() * sigma**2
         columns = layout.point_columns(layout.kept_points)
         points[layout.kept_points] = kept[columns[:, :, None], columns[:, None, :]]
     elif not layout.hold_points:
-        points = found.points() * sigma**2
+        points = found.eliminated() * sigma**2
     poses = torch.arange(6 * layout.num_cameras, device=kept.device).view(-1, 6)
     deviation = torch.nn.functional.pad(kept.diagonal().clamp(min=0.0).sqrt(), (0, 1))
     lenses = torch.arange(layout.num_lenses, device=kept.device)
