@@ -4,20 +4,22 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 
 import torch
+from jaxtyping import Shaped
 from torch import Tensor
 
 from torchrefrac.checks import is_wrapped
 
 BLOCK = 32768
+Tensors = Callable[..., tuple[Shaped[Tensor, "..."], ...]]  # a function of several tensors that gives several
 
 
 def in_blocks(
-    function: Callable[..., tuple[Tensor, ...]],
-    tensors: Sequence[Tensor],
+    function: Tensors,
+    tensors: Sequence[Shaped[Tensor, "..."]],
     event_dims: Sequence[int],
     result_dims: Sequence[int],
     size: int = BLOCK,
-) -> tuple[Tensor, ...]:
+) -> tuple[Shaped[Tensor, "..."], ...]:
     """`function(*tensors)`, computed for at most `size` elements of the batch at a time; each is treated alone.
 
     The last `event_dims[i]` dimensions of tensor i belong to one element, those before them broadcast to the batch;
@@ -57,7 +59,7 @@ def _blocks(batch: Sequence[int], size: int) -> Iterator[tuple[slice, ...]]:
             yield (slice(i, i + step),)
 
 
-def _is_plain(tensor: Tensor) -> bool:
+def _is_plain(tensor: Shaped[Tensor, "..."]) -> bool:
     if torch.compiler.is_compiling() or tensor.device.type != "cpu":
         return False
     graph = tensor.requires_grad and torch.is_grad_enabled()
