@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from torchrefrac.files.capture import load_capture
     from torchrefrac.geometry import Plane
     from torchrefrac.refraction import FlatInterface, solve_refrax, water_index
-    from torchrefrac.scene import Capture, DenseCloud, Reconstruction
+    from torchrefrac.scene import Capture, DenseCloud, Scene
 
 __version__ = "0.1.0"
 
@@ -35,7 +35,7 @@ __all__ = [
     "LearnableCamera",
     "Options",
     "Plane",
-    "Reconstruction",
+    "Scene",
     "RefractiveCamera",
     "densify",
     "from_kornia",
@@ -58,7 +58,7 @@ _HOME = {
     "LearnableCamera": "camera",
     "Options": "config",
     "Plane": "geometry",
-    "Reconstruction": "scene",
+    "Scene": "scene",
     "RefractiveCamera": "camera",
     "densify": "dense",
     "from_kornia": "camera",
