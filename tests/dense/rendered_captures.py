@@ -1,4 +1,4 @@
-"""Rendered photographs as files, with the sparse reconstruction that a dense one begins with."""
+"""Rendered photographs as files, with the sparse scene that a dense reconstruction begins with."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -10,8 +10,9 @@ from torch import Tensor
 
 from tests.dense.rendered_scenes import Rendered
 from torchrefrac.dense.images import Images
+from torchrefrac.geometry import Rigid
 from torchrefrac.recorder import Advance, SilentRecorder
-from torchrefrac.scene import Cameras, Capture, Interfaces, Reconstruction
+from torchrefrac.scene import Cameras, Capture, Interfaces, Observations, Scene
 
 EVERY = 12  # pixels from one sparse point to the next
 
@@ -72,24 +73,18 @@ def images_of(rendered: Rendered, folder: Path) -> Images:
     return Images(write_capture(rendered, folder))
 
 
-def sparse_reconstruction(rendered: Rendered, every: int = EVERY) -> Reconstruction:
+def sparse_scene(rendered: Rendered, every: int = EVERY) -> Scene:
     """True poses; as points, what every twelfth pixel of every image shows, observed by all images that hold it."""
     step = slice(every // 2, None, every)
     points = rendered.points[:, step, step].reshape(-1, 3)
     pixels, seen = rendered.cameras[:, None].project(points, inside_image=True)
-    point, image = seen.T.nonzero().unbind(dim=-1)
-    count = len(rendered.images)
-    return Reconstruction(
-        names=tuple(f"{i}.png" for i in range(count)),
-        registered=torch.ones(count, dtype=torch.bool),
-        rotation=rendered.cameras.cam_from_world_rotation,
-        center=rendered.cameras.center_in_world,
-        intrinsics=rendered.cameras.intrinsics,
-        index_ratio=_index_ratio(rendered),
+    point, view = seen.T.nonzero().unbind(dim=-1)
+    return Scene.create(
+        Rigid(rendered.cameras.cam_from_world_rotation, rendered.cameras.center_in_world),
+        rendered.cameras.intrinsics,
+        Interfaces.level(_index_ratio(rendered)),
+        points,
+        Observations(view, point, pixels[view, point]),
+        names=[f"{i}.png" for i in range(len(rendered.images))],
         length_unit="cm",
-        points=points,
-        colors=torch.zeros(len(points), 3, dtype=torch.uint8),
-        image=image,
-        point=point,
-        pixels=pixels[image, point],
     )

@@ -44,8 +44,8 @@ class Rendered:
         def interest_points(image: int) -> InterestPoints:
             return detect_interest_points(self.images[image].float(), per_cell=1)
 
-        tile = (0, 0, width, height)
-        return Scope(torch.arange(count), self.cameras, atlas, allowed, near, far, tile, interest_points)
+        ids, tile, none = torch.arange(count), (0, 0, width, height), torch.zeros(0, 3, dtype=torch.float64)
+        return Scope(ids, self.cameras, atlas, allowed, near, far, tile, interest_points, none, none[:, :2])
 
     def at(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
         """Points and unit normals (k, 3) that the reference shows at pixels (k, 2), which are middles of pixels."""

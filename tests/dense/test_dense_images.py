@@ -11,7 +11,7 @@ import torch
 from tests.dense.rendered_captures import write_capture, write_mask
 from tests.dense.rendered_scenes import Rendered, cameras_around
 from torchrefrac.dense.images import Images
-from torchrefrac.scene import CaptureError
+from torchrefrac.scene import Cameras, CaptureError
 
 NAMES = ("left/a.b.png", "right.png")
 
@@ -47,7 +47,9 @@ def test_colours_are_red_green_blue_at_their_pixels(capture):
     picture[7, 3] = (10, 20, 30)  # OpenCV's order: blue, green, red
     cv2.imwrite(str(capture.paths[1]), picture)
 
-    colors = Images(capture).colors(1, torch.tensor([[3.0, 7.0], [3.99, 7.99], [4.0, 7.5]], dtype=torch.float64))
+    colors = Images(capture).colors(
+        torch.tensor([1, 1, 1]), torch.tensor([[3.0, 7.0], [3.99, 7.99], [4.0, 7.5]]).double()
+    )
 
     assert colors.dtype == torch.uint8
     assert colors.tolist() == [[30, 20, 10], [30, 20, 10], [0, 0, 0]]
@@ -105,10 +107,10 @@ def test_an_unreadable_photograph_is_named(capture):
 
 
 def test_a_photograph_of_another_size_is_named(capture):
-    lens = replace(capture.intrinsics, width=150)
+    narrow = Cameras.of([replace(capture.intrinsics, width=150)])
 
     with pytest.raises(CaptureError, match=re.escape(f"{capture.paths[0]} is 160x120, but the images are 150x120")):
-        Images(replace(capture, intrinsics=lens)).check()
+        Images(replace(capture, cameras=narrow)).check()
 
 
 def test_a_mask_of_another_size_is_named(capture, half):
@@ -119,8 +121,8 @@ def test_a_mask_of_another_size_is_named(capture, half):
         Images(capture).check()
 
 
-def test_photographs_are_read_once_while_they_are_kept(capture):
-    images = Images(capture, kept=1)
+def test_photographs_are_read_once_while_they_are_remembered(capture):
+    images = Images(capture, remembered=1)
     first = images.grey(0)
 
     assert images.grey(0) is first

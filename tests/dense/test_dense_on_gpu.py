@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tests.dense.rendered_captures import sparse_reconstruction, write_capture
+from tests.dense.rendered_captures import sparse_scene, write_capture
 from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.dense import DenseOptions, densify
 
@@ -18,7 +18,7 @@ pytestmark = [
 @pytest.mark.parametrize("method", ["patch", "depthmap"])
 def test_the_surface_is_that_of_the_cpu(tmp_path, method):
     rendered = render([Board((0.0, 0.0, -40.0))], cameras_around(3, 30.0, -30.0, 1.33), marble(), 1.33)
-    capture, sparse = write_capture(rendered, tmp_path), sparse_reconstruction(rendered)
+    capture, sparse = write_capture(rendered, tmp_path), sparse_scene(rendered)
     options = DenseOptions(method=method)
 
     here = densify(capture, sparse, options).cloud

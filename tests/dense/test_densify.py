@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from tests.dense.rendered_captures import sparse_reconstruction, write_capture, write_mask
+from tests.dense.rendered_captures import sparse_scene, write_capture, write_mask
 from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.dense import DenseError, DenseOptions, densify, depth_maps
-from torchrefrac.scene import CaptureError
+from torchrefrac.scene import Cameras, CaptureError, Interfaces
 
 FOOTPRINT = 0.55  # roughly, of all cameras
 SLOPE = Board((0.0, 0.0, -40.0), (0.25, -0.1, 1.0))
@@ -30,10 +30,10 @@ def slope():
 
 @pytest.fixture(scope="module", params=list(OPTIONS))
 def finished(request, slope, tmp_path_factory):
-    """The slope's capture, sparse reconstruction, options and dense reconstruction."""
+    """The slope's capture, sparse scene, options and dense reconstruction."""
     capture = write_capture(slope, tmp_path_factory.mktemp("slope"))
-    reconstruction, options = sparse_reconstruction(slope), OPTIONS[request.param]
-    return capture, reconstruction, options, densify(capture, reconstruction, options)
+    scene, options = sparse_scene(slope), OPTIONS[request.param]
+    return capture, scene, options, densify(scene, capture, options)
 
 
 def _heights(points):
@@ -115,9 +115,9 @@ def test_every_patch_lies_on_the_ray_of_its_pixel(finished, slope):
 
 
 def test_each_image_gets_a_map_of_what_it_shows(finished, slope):
-    _, reconstruction, options, dense = finished
+    _, scene, options, dense = finished
 
-    maps = list(depth_maps(dense, reconstruction, options))
+    maps = list(depth_maps(dense, scene, options))
 
     assert [m.name for m in maps] == ["0.png", "1.png", "2.png"]
     for image, seen in enumerate(maps):
@@ -128,12 +128,12 @@ def test_each_image_gets_a_map_of_what_it_shows(finished, slope):
 
 @methods
 def test_masked_ground_stays_empty(slope, tmp_path, method):
-    capture, reconstruction = write_capture(slope, tmp_path), sparse_reconstruction(slope)
+    capture, scene = write_capture(slope, tmp_path), sparse_scene(slope)
     hidden = (slope.points[..., 0].abs() < 6.0) & (slope.points[..., 1].abs() < 6.0)
     for image, name in enumerate(capture.names):
         write_mask(capture, name, ~hidden[image])
 
-    points = densify(capture, reconstruction, OPTIONS[method]).cloud.points
+    points = densify(scene, capture, OPTIONS[method]).cloud.points
 
     inside = points[:, :2].abs().amax(dim=-1)
     assert not (inside < 6.0 - FOOTPRINT).any()
@@ -144,9 +144,9 @@ def test_masked_ground_stays_empty(slope, tmp_path, method):
 @methods
 def test_ground_without_texture_stays_empty(tmp_path, method):
     paint = marble()
-    scene = _photographs(texture=lambda points: np.where(points[..., 0] < 0.0, paint(points), 128.0))
+    photographs = _photographs(texture=lambda points: np.where(points[..., 0] < 0.0, paint(points), 128.0))
 
-    points = densify(write_capture(scene, tmp_path), sparse_reconstruction(scene), OPTIONS[method]).cloud.points
+    points = densify(sparse_scene(photographs), write_capture(photographs, tmp_path), OPTIONS[method]).cloud.points
 
     assert (points[:, 0] < 0.0).sum() > 400
     assert not (points[:, 0] > 6.0 * FOOTPRINT).any()
@@ -155,21 +155,21 @@ def test_ground_without_texture_stays_empty(tmp_path, method):
 
 @methods
 def test_a_flat_bottom_is_found_however_narrow_its_range_of_distances(tmp_path, method):
-    scene = _photographs(board=Board((0.0, 0.0, -40.0)))
+    photographs = _photographs(board=Board((0.0, 0.0, -40.0)))
 
-    points = densify(write_capture(scene, tmp_path), sparse_reconstruction(scene), OPTIONS[method]).cloud.points
+    points = densify(sparse_scene(photographs), write_capture(photographs, tmp_path), OPTIONS[method]).cloud.points
 
-    assert _found(scene, points)[_seen_by_all(scene)].double().mean() > 0.97
+    assert _found(photographs, points)[_seen_by_all(photographs)].double().mean() > 0.97
     assert (points[:, 2] + 40.0).abs().median() < 0.1 * FOOTPRINT
 
 
 @methods
 def test_two_images_are_enough(tmp_path, method):
-    scene = _photographs(2)
+    photographs = _photographs(2)
 
-    dense = densify(write_capture(scene, tmp_path), sparse_reconstruction(scene), OPTIONS[method])
+    dense = densify(sparse_scene(photographs), write_capture(photographs, tmp_path), OPTIONS[method])
 
-    assert _found(scene, dense.cloud.points)[_seen_by_all(scene)].double().mean() > 0.97
+    assert _found(photographs, dense.cloud.points)[_seen_by_all(photographs)].double().mean() > 0.97
     assert _heights(dense.cloud.points).abs().median() < 0.1 * FOOTPRINT
     assert (dense.cloud.views == 2).all()
 
@@ -178,34 +178,45 @@ def test_two_images_are_enough(tmp_path, method):
 def test_without_refraction_in_the_model_the_bottom_is_not_where_it_is(slope, tmp_path, method):
     """The photographs and poses are right, but nobody told of the water."""
     dry = replace(slope, cameras=slope.cameras.as_pinhole())
-    reconstruction = replace(sparse_reconstruction(dry), index_ratio=1.0)
+    scene = sparse_scene(dry)
 
-    points = densify(write_capture(slope, tmp_path), reconstruction, replace(OPTIONS[method], cell=6)).cloud.points
+    points = densify(scene, write_capture(slope, tmp_path), replace(OPTIONS[method], cell=6)).cloud.points
 
     assert not len(points) or _heights(points).abs().median() > 3.0 * FOOTPRINT
 
 
 def test_an_image_without_a_pose_takes_no_part(slope, tmp_path):
-    capture, reconstruction = write_capture(slope, tmp_path), sparse_reconstruction(slope)
-    known = reconstruction.image != 1
-    parts = {name: getattr(reconstruction, name)[known] for name in ("image", "point", "pixels")}
-    reconstruction = replace(reconstruction, registered=torch.tensor([True, False, True]), **parts)
+    capture, scene = write_capture(slope, tmp_path), sparse_scene(slope)
+    known, views = scene.observations.view != 1, replace(scene.views, registered=torch.tensor([True, False, True]))
+    scene = replace(scene, views=views, observations=scene.observations[known], accepted=scene.accepted[known])
 
-    dense = densify(capture, reconstruction, OPTIONS["patch"])
+    dense = densify(scene, capture, OPTIONS["patch"])
 
     assert len(dense.cloud) > 800
     assert not (dense.patches.reference == 1).any()
     assert not ((dense.patches.others == 1) & dense.patches.visible).any()
-    assert [m.name for m in depth_maps(dense, reconstruction, OPTIONS["patch"])] == ["0.png", "2.png"]
+    assert [m.name for m in depth_maps(dense, scene, OPTIONS["patch"])] == ["0.png", "2.png"]
 
 
 def test_without_sparse_points_it_says_that_they_are_missing(slope, tmp_path):
-    bare = sparse_reconstruction(slope)
-    none = torch.zeros(0, dtype=torch.long)
-    bare = replace(bare, points=bare.points[:0], colors=bare.colors[:0], image=none, point=none, pixels=bare.pixels[:0])
+    scene = sparse_scene(slope)
+    bare = replace(scene, accepted=torch.zeros_like(scene.accepted)).trimmed()
 
     with pytest.raises(DenseError, match="no sparse points, which say where to look; run the sparse"):
-        densify(write_capture(slope, tmp_path), bare, OPTIONS["patch"])
+        densify(bare, write_capture(slope, tmp_path), OPTIONS["patch"])
+
+
+@pytest.mark.parametrize("several", ["cameras", "interfaces"])
+def test_a_scene_with_several_cameras_or_interfaces_is_refused(slope, tmp_path, several):
+    scene = sparse_scene(slope)
+    other = {
+        "cameras": Cameras.of([scene.intrinsics] * 2),
+        "interfaces": Interfaces(*(torch.cat((part, part)) for part in vars(Interfaces.level(1.33)).values())),
+    }
+    counts = "2 cameras and 1 interfaces" if several == "cameras" else "1 cameras and 2 interfaces"
+
+    with pytest.raises(DenseError, match=f"the scene has {counts}, but must have one of each"):
+        densify(replace(scene, **{several: other[several]}), write_capture(slope, tmp_path))
 
 
 def test_identical_views_are_refused(slope, tmp_path):
@@ -213,7 +224,7 @@ def test_identical_views_are_refused(slope, tmp_path):
     still = replace(slope, cameras=slope.cameras[same], images=slope.images[same], points=slope.points[same])
 
     with pytest.raises(DenseError, match="no two of 3 registered images see common points at an angle"):
-        densify(write_capture(still, tmp_path), sparse_reconstruction(still), OPTIONS["patch"])
+        densify(sparse_scene(still), write_capture(still, tmp_path), OPTIONS["patch"])
 
 
 def test_a_photograph_that_is_gone_is_named(slope, tmp_path):
@@ -221,9 +232,9 @@ def test_a_photograph_that_is_gone_is_named(slope, tmp_path):
     capture.paths[2].unlink()
 
     with pytest.raises(CaptureError, match=re.escape(str(capture.paths[2]))):
-        densify(capture, sparse_reconstruction(slope), OPTIONS["patch"])
+        densify(sparse_scene(slope), capture, OPTIONS["patch"])
 
 
 def test_the_method_that_leaves_it_at_sparse_points_is_refused(slope, tmp_path):
     with pytest.raises(ValueError, match="method is 'none', but must be 'patch' or 'depthmap'"):
-        densify(write_capture(slope, tmp_path), sparse_reconstruction(slope), DenseOptions(method="none"))
+        densify(sparse_scene(slope), write_capture(slope, tmp_path), DenseOptions(method="none"))

@@ -10,7 +10,8 @@ from scipy.optimize import brentq
 from torchrefrac.camera import Intrinsics
 from torchrefrac.dense.neighbours import MARGIN, find_neighbours
 from torchrefrac.dense.options import DenseOptions
-from torchrefrac.scene import Reconstruction
+from torchrefrac.geometry import Rigid
+from torchrefrac.scene import Interfaces, Observations, Scene
 
 OPTIONS = DenseOptions(method="patch")
 INDEX = 1.33
@@ -25,36 +26,29 @@ def make_row(draw):
         m = len(places)
         center = torch.tensor([(x, 0.0, 50.0) for x in places], dtype=torch.float64)
         points = torch.cat((draw.uniform(-10.0, 10.0, count, 2), draw.uniform(low, high, count, 1)), dim=-1)
-        return Reconstruction(
-            names=tuple(f"{i}.png" for i in range(m)),
-            registered=torch.ones(m, dtype=torch.bool),
-            rotation=torch.tensor(np.diag((1.0, -1.0, -1.0))).expand(m, 3, 3),
-            center=center,
-            intrinsics=Intrinsics.create(2000, 2000, 500.0),
-            index_ratio=INDEX,
-            length_unit="cm",
-            points=points,
-            colors=torch.zeros(count, 3, dtype=torch.uint8),
-            image=torch.arange(m).repeat(count),
-            point=torch.arange(count).repeat_interleave(m),
-            pixels=torch.zeros(m * count, 2, dtype=torch.float64),
+        view, point = torch.arange(m).repeat(count), torch.arange(count).repeat_interleave(m)
+        return Scene.create(
+            Rigid(torch.tensor(np.diag((1.0, -1.0, -1.0))).expand(m, 3, 3), center),
+            Intrinsics.create(2000, 2000, 500.0),
+            Interfaces.level(INDEX),
+            points,
+            Observations(view, point, torch.zeros(m * count, 2, dtype=torch.float64)),
         )
 
     return make
 
 
-def _observed(reconstruction, keep):
+def _observed(scene, keep):
     """With some of the observations (N)."""
-    parts = {name: getattr(reconstruction, name)[keep] for name in ("image", "point", "pixels")}
-    return replace(reconstruction, **parts)
+    return replace(scene, observations=scene.observations[keep], accepted=scene.accepted[keep])
 
 
-def _worth(reconstruction, one, other):
+def _worth(scene, one, other):
     """Sum over the common points of how well the angle fits, by plain trigonometry."""
     total = 0.0
-    seen = [set(reconstruction.point[reconstruction.image == i].tolist()) for i in (one, other)]
+    seen = [set(scene.observations.point[scene.observations.view == i].tolist()) for i in (one, other)]
     for point in seen[0] & seen[1]:
-        to = [(reconstruction.center[i] - reconstruction.points[point]).numpy() for i in (one, other)]
+        to = [(scene.views.center[i] - scene.points[point]).numpy() for i in (one, other)]
         cosine = to[0] @ to[1] / np.linalg.norm(to[0]) / np.linalg.norm(to[1])
         angle = np.degrees(np.arccos(min(cosine, 1.0)))
         if 1.0 < angle < OPTIONS.angle_max:
@@ -77,50 +71,52 @@ def _path_length(center, point):
 
 
 def test_others_come_in_the_order_of_their_worth(make_row, generator):
-    reconstruction = make_row((0.0, 1.5, 12.0, 22.0, 28.0, -55.0, 300.0))
-    kept = torch.rand(len(reconstruction.image), generator=generator) < 0.7
-    reconstruction = _observed(reconstruction, kept)
+    scene = make_row((0.0, 1.5, 12.0, 22.0, 28.0, -55.0, 300.0))
+    kept = torch.rand(len(scene.observations), generator=generator) < 0.7
+    scene = _observed(scene, kept)
 
-    found = find_neighbours(reconstruction, OPTIONS)
+    found = find_neighbours(scene, OPTIONS)
 
     for image in range(7):
-        worth = {other: _worth(reconstruction, image, other) for other in range(7) if other != image}
+        worth = {other: _worth(scene, image, other) for other in range(7) if other != image}
         expected = sorted((other for other in worth if worth[other] > 0.0), key=lambda other: -worth[other])
-        assert (found[image].others.tolist() if image in found else []) == expected
-    assert 6 not in found[0].others
-    assert found[0].others[0] in (3, 4)
+        assert (found[image].ids[1:].tolist() if image in found else []) == expected
+    assert 6 not in found[0].ids[1:]
+    assert found[0].ids[1:][0] in (3, 4)
 
 
 def test_no_more_than_the_wanted_neighbours(make_row):
-    reconstruction = make_row(tuple(6.0 * i for i in range(8)))
+    scene = make_row(tuple(6.0 * i for i in range(8)))
 
     every, few = (
-        find_neighbours(reconstruction, OPTIONS),
-        find_neighbours(reconstruction, replace(OPTIONS, neighbours=3)),
+        find_neighbours(scene, OPTIONS),
+        find_neighbours(scene, replace(OPTIONS, neighbours=3)),
     )
 
-    assert len(every[0].others) == 7
+    assert len(every[0].ids[1:]) == 7
     for image in range(8):
-        assert torch.equal(few[image].others, every[image].others[:3])
+        assert torch.equal(few[image].ids[1:], every[image].ids[1:][:3])
 
 
 def test_images_without_a_pose_are_nobodys_neighbour(make_row):
-    reconstruction = make_row((0.0, 20.0, 30.0))
+    scene = make_row((0.0, 20.0, 30.0))
 
-    found = find_neighbours(replace(reconstruction, registered=torch.tensor([True, False, True])), OPTIONS)
+    found = find_neighbours(
+        replace(scene, views=replace(scene.views, registered=torch.tensor([True, False, True]))), OPTIONS
+    )
 
-    assert {image: hood.others.tolist() for image, hood in found.items()} == {0: [2], 2: [0]}
+    assert {image: hood.ids[1:].tolist() for image, hood in found.items()} == {0: [2], 2: [0]}
 
 
 @pytest.mark.parametrize("points", [0, 4])
 def test_images_with_too_few_points_are_left_out(make_row, points):
-    reconstruction = make_row((0.0, 20.0, 30.0))
-    reconstruction = _observed(reconstruction, (reconstruction.image != 1) | (reconstruction.point < points))
+    scene = make_row((0.0, 20.0, 30.0))
+    scene = _observed(scene, (scene.observations.view != 1) | (scene.observations.point < points))
 
-    found = find_neighbours(reconstruction, OPTIONS)
+    found = find_neighbours(scene, OPTIONS)
 
     assert sorted(found) == [0, 2]
-    assert (1 in found[0].others) == (points > 0)
+    assert (1 in found[0].ids[1:]) == (points > 0)
 
 
 def test_images_in_one_place_are_no_neighbours(make_row):
@@ -133,22 +129,22 @@ def test_images_without_points_have_no_neighbours(make_row):
 
 @pytest.mark.parametrize(("low", "high"), [(-25.0, -15.0), (-20.0, 10.0), (3.0, 20.0)])
 def test_the_range_is_that_of_the_points_along_their_bent_rays_and_a_quarter_more(make_row, low, high):
-    reconstruction = make_row((0.0, 20.0), low, high, count=400)
+    scene = make_row((0.0, 20.0), low, high, count=400)
 
-    hood = find_neighbours(reconstruction, OPTIONS)[0]
+    hood = find_neighbours(scene, OPTIONS)[0]
 
-    lengths = [_path_length(reconstruction.center[0].numpy(), point) for point in reconstruction.points.numpy()]
+    lengths = [_path_length(scene.views.center[0].numpy(), point) for point in scene.points.numpy()]
     least, most = np.quantile(lengths, (0.01, 0.99))
     assert hood.near == pytest.approx(least - MARGIN * (most - least), rel=1e-9)
     assert hood.far == pytest.approx(most + MARGIN * (most - least), rel=1e-9)
 
 
 def test_a_few_wild_points_do_not_widen_the_range(make_row):
-    reconstruction = make_row((0.0, 20.0), count=1000)
-    points = reconstruction.points.clone()
+    scene = make_row((0.0, 20.0), count=1000)
+    points = scene.points.clone()
     points[:5, 2] = -900.0
 
-    wild, tame = (find_neighbours(r, OPTIONS)[0] for r in (replace(reconstruction, points=points), reconstruction))
+    wild, tame = (find_neighbours(r, OPTIONS)[0] for r in (replace(scene, points=points), scene))
 
     assert wild.far < 1.1 * tame.far
 

@@ -248,7 +248,8 @@ def _looking_at_the_origin(angles_deg):
     rotation = torch.stack((right, torch.linalg.cross(forward, right), forward), dim=-2)
     cameras = RefractiveCamera(Intrinsics.create(160, 120, 150.0), rotation, center, FlatInterface(1.33))
     atlas = Atlas.build([torch.zeros(120, 160)] * len(angle), 1)
-    return Scope(torch.arange(len(angle)), cameras, atlas, None, -50.0, 50.0, (0, 0, 160, 120), lambda _: NO_POINTS)
+    ids, tile, none = torch.arange(len(angle)), (0, 0, 160, 120), torch.zeros(0, 3, dtype=torch.float64)
+    return Scope(ids, cameras, atlas, None, -50.0, 50.0, tile, lambda _: NO_POINTS, none, none[:, :2])
 
 
 def test_images_at_the_best_angle_come_first_and_none_beyond_the_largest():

@@ -7,11 +7,13 @@ import pytest
 import torch
 
 from tests.dense.planted_patches import patches_shown
-from tests.dense.rendered_captures import sparse_reconstruction, write_capture, write_mask
+from tests.dense.rendered_captures import sparse_scene, write_capture, write_mask
 from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.dense import DenseOptions, FolderStore, SweepOptions, densify
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.store import NoStore, fingerprint
+from torchrefrac.geometry import Rigid
+from torchrefrac.scene import Interfaces
 
 OPTIONS = DenseOptions(method="patch", cell=5)
 
@@ -28,8 +30,8 @@ def capture(pond, tmp_path):
 
 
 @pytest.fixture
-def reconstruction(pond):
-    return sparse_reconstruction(pond)
+def scene(pond):
+    return sparse_scene(pond)
 
 
 @pytest.fixture
@@ -38,11 +40,11 @@ def patches(pond):
 
 
 @pytest.fixture
-def open_store(tmp_path, capture, reconstruction):
+def open_store(tmp_path, capture, scene):
     """`open_store()`: the same folder again, by default for the same work."""
 
     def make(**other):
-        made_from = {"capture": capture, "reconstruction": reconstruction, "options": OPTIONS} | other
+        made_from = {"scene": scene, "capture": capture, "options": OPTIONS} | other
         return FolderStore(tmp_path / "parts", **made_from)
 
     return make
@@ -80,16 +82,18 @@ def test_saving_again_replaces(open_store, patches):
     assert len(store.load(0)) == 3
 
 
-@pytest.mark.parametrize("change", ["options", "sweep", "pose", "points", "water", "registered"])
-def test_other_work_clears_the_folder(open_store, patches, reconstruction, change):
+@pytest.mark.parametrize("change", ["options", "sweep", "pose", "points", "water", "level", "registered"])
+def test_other_work_clears_the_folder(open_store, patches, scene, change):
     open_store().save(0, patches)
+    views = scene.views
     other = {
         "options": {"options": replace(OPTIONS, min_score=0.7)},
         "sweep": {"options": replace(OPTIONS, sweep=SweepOptions(planes=50))},
-        "pose": {"reconstruction": replace(reconstruction, center=reconstruction.center + 1e-9)},
-        "points": {"reconstruction": replace(reconstruction, points=reconstruction.points.flip(0))},
-        "water": {"reconstruction": replace(reconstruction, index_ratio=1.34)},
-        "registered": {"reconstruction": replace(reconstruction, registered=torch.tensor([True, False]))},
+        "pose": {"scene": replace(scene, views=replace(views, pose=Rigid(views.rotation, views.center + 1e-9)))},
+        "points": {"scene": replace(scene, points=scene.points.flip(0))},
+        "water": {"scene": replace(scene, interfaces=Interfaces.level(1.34))},
+        "level": {"scene": replace(scene, interfaces=Interfaces.level(1.33, 1e-9))},
+        "registered": {"scene": replace(scene, views=replace(views, registered=torch.tensor([True, False])))},
     }
 
     assert open_store(**other[change]).load(0) is None
@@ -111,10 +115,10 @@ def test_a_new_mask_clears_the_folder(open_store, patches, capture):
     assert open_store().load(0) is None
 
 
-def test_the_fingerprint_is_the_same_for_the_same_work(capture, reconstruction):
-    again = replace(reconstruction, points=reconstruction.points.clone())
+def test_the_fingerprint_is_the_same_for_the_same_work(capture, scene):
+    again = replace(scene, points=scene.points.clone())
 
-    assert fingerprint(capture, reconstruction, OPTIONS) == fingerprint(capture, again, replace(OPTIONS))
+    assert fingerprint(scene, capture, OPTIONS) == fingerprint(again, capture, replace(OPTIONS))
 
 
 def test_clearing_removes_its_own_files_only(open_store, patches):
@@ -161,14 +165,14 @@ class _Interrupting:
 
 
 @pytest.mark.parametrize("method", ["patch", "depthmap"])
-def test_an_interrupted_run_ends_as_one_that_was_not(open_store, capture, reconstruction, method):
+def test_an_interrupted_run_ends_as_one_that_was_not(open_store, capture, scene, method):
     options = replace(OPTIONS, method=method)
-    whole = densify(capture, reconstruction, options)
+    whole = densify(scene, capture, options)
 
     with pytest.raises(PowerError):
-        densify(capture, reconstruction, options, store=_Interrupting(open_store(options=options)))
+        densify(scene, capture, options, store=_Interrupting(open_store(options=options)))
     kept = [image for image in (0, 1) if open_store(options=options).load(image) is not None]
-    resumed = densify(capture, reconstruction, options, store=open_store(options=options))
+    resumed = densify(scene, capture, options, store=open_store(options=options))
 
     assert len(kept) == 1
     assert len(whole.patches) > 300
@@ -178,13 +182,13 @@ def test_an_interrupted_run_ends_as_one_that_was_not(open_store, capture, recons
         assert torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
 
 
-def test_finished_images_are_not_looked_at_again(open_store, capture, reconstruction, patches):
+def test_finished_images_are_not_looked_at_again(open_store, capture, scene, patches):
     """Both images are there with what was planted: that is what comes out."""
     planted = {0: patches[torch.arange(0, len(patches), 2)], 1: patches[torch.arange(1, len(patches), 2)]}
     for image, part in planted.items():
         open_store().save(image, part)
 
-    found = densify(capture, reconstruction, OPTIONS, store=open_store()).patches
+    found = densify(scene, capture, OPTIONS, store=open_store()).patches
 
     assert len(found) > 0.99 * len(patches)
     assert set(found.pixels[:, 0].tolist()) <= set(patches.pixels[:, 0].tolist())

@@ -5,17 +5,23 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tests.dense.rendered_captures import CountingRecorder, images_of, sparse_reconstruction, write_capture, write_mask
+from tests.dense.rendered_captures import CountingRecorder, images_of, sparse_scene, write_capture, write_mask
 from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.dense import DenseOptions, densify
 from torchrefrac.dense.images import Images
 from torchrefrac.dense.neighbours import Neighbourhood
 from torchrefrac.dense.rays import PixelRays
-from torchrefrac.dense.tiles import _tiles, scopes
+from torchrefrac.dense.tiles import scopes, tile_boxes
 
 OPTIONS = DenseOptions(method="patch")
 SMALL = replace(OPTIONS, max_tile=81)
-HOOD = Neighbourhood(torch.tensor([2, 1]), near=-8.0, far=70.0)
+NEAR, FAR = -8.0, 70.0
+
+
+def _neighbourhood(cameras, others=(2, 1)):
+    """Of the first image, without sparse points."""
+    ids, none = torch.tensor([0, *others]), torch.zeros(0, 3, dtype=torch.float64)
+    return Neighbourhood(ids, cameras[ids], NEAR, FAR, none, none[:, :2])
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +41,7 @@ def test_every_cell_lies_in_a_tile_of_whole_cells(cell, width, height, tile):
     options = DenseOptions(cell=cell, max_tile=tile)
     covered = torch.zeros(height // cell, width // cell, dtype=torch.long)
 
-    boxes = list(_tiles(width, height, options))
+    boxes = list(tile_boxes(width, height, options))
 
     for left, top, right, bottom in boxes:
         assert left % cell == top % cell == 0
@@ -49,23 +55,23 @@ def test_every_cell_lies_in_a_tile_of_whole_cells(cell, width, height, tile):
 
 @pytest.mark.parametrize("most", [160, 170, 2048])
 def test_a_small_image_is_one_tile(shore, images, most):
-    made = list(scopes(0, HOOD, shore.cameras, images, replace(OPTIONS, max_tile=most)))
+    made = list(scopes(_neighbourhood(shore.cameras), images, replace(OPTIONS, max_tile=most)))
 
     assert [scope.tile for scope in made] == [(0, 0, 160, 120)]
     assert made[0].ids.tolist() == [0, 2, 1]
     assert torch.equal(made[0].atlas.copy(2), images.grey(1).float())
     assert made[0].allowed is None
-    assert (made[0].near, made[0].far) == (HOOD.near, HOOD.far)
+    assert (made[0].near, made[0].far) == (NEAR, FAR)
 
 
 def test_the_parts_hold_every_projection_of_the_tile_with_its_window(shore, images, draw):
     margin = 0.5 * OPTIONS.window * 2 ** (OPTIONS.levels - 1)
-    made = list(scopes(0, HOOD, shore.cameras, images, SMALL))
+    made = list(scopes(_neighbourhood(shore.cameras), images, SMALL))
 
     for scope in made:
         left, top, right, bottom = scope.tile
         pixels = torch.stack((draw.uniform(left, right, 2000), draw.uniform(top, bottom, 2000)), dim=-1)
-        points = PixelRays.cast(shore.cameras[0], pixels).at(draw.uniform(HOOD.near, HOOD.far, 2000))
+        points = PixelRays.cast(shore.cameras[0], pixels).at(draw.uniform(NEAR, FAR, 2000))
         there = dict(zip(scope.ids.tolist(), range(len(scope.ids)), strict=True))
         for image in (0, 1, 2):
             at, inside = shore.cameras[image].project(points, inside_image=True)
@@ -82,9 +88,9 @@ def test_the_parts_hold_every_projection_of_the_tile_with_its_window(shore, imag
 
 
 def test_parts_show_what_the_whole_images_show(shore, images, draw):
-    whole = next(scopes(0, HOOD, shore.cameras, images, OPTIONS))
+    whole = next(scopes(_neighbourhood(shore.cameras), images, OPTIONS))
 
-    for scope in scopes(0, HOOD, shore.cameras, images, SMALL):
+    for scope in scopes(_neighbourhood(shore.cameras), images, SMALL):
         for local, image in enumerate(scope.ids.tolist()):
             low = scope.atlas.origin[local]
             room = scope.atlas.size[local, 0] - 24.0
@@ -103,8 +109,8 @@ def test_an_image_that_shows_nothing_of_a_tile_is_left_out(shore, images):
     rotation[2, [0, 2]] *= -1.0
     cameras = replace(shore.cameras, cam_from_world_rotation=rotation)
 
-    with_another = list(scopes(0, HOOD, cameras, images, SMALL))
-    alone = list(scopes(0, HOOD._replace(others=torch.tensor([2])), cameras, images, SMALL))
+    with_another = list(scopes(_neighbourhood(cameras), images, SMALL))
+    alone = list(scopes(_neighbourhood(cameras, (2,)), images, SMALL))
 
     assert {tuple(scope.ids.tolist()) for scope in with_another} == {(0, 1)}
     assert not alone
@@ -116,7 +122,7 @@ def test_masks_are_handed_on(shore, tmp_path):
     write_mask(capture, "2.png", allowed)
 
     for options in (OPTIONS, SMALL):
-        for scope in scopes(0, HOOD, shore.cameras, Images(capture), options):
+        for scope in scopes(_neighbourhood(shore.cameras), Images(capture), options):
             local = scope.ids.tolist()
             assert scope.allowed is not None
             assert scope.allowed[0].all()
@@ -126,11 +132,11 @@ def test_masks_are_handed_on(shore, tmp_path):
 @pytest.mark.parametrize("method", ["patch", "depthmap"])
 def test_tiles_give_the_surface_that_the_whole_image_gives_and_no_cell_twice(shore, tmp_path, method):
     three = replace(shore, cameras=shore.cameras[torch.arange(3)], images=shore.images[:3], points=shore.points[:3])
-    capture, reconstruction = write_capture(three, tmp_path), sparse_reconstruction(three)
+    capture, scene = write_capture(three, tmp_path), sparse_scene(three)
 
     recorders = CountingRecorder(), CountingRecorder()
     whole, tiled = (
-        densify(capture, reconstruction, replace(OPTIONS, method=method, max_tile=size), recorder).patches
+        densify(scene, capture, replace(OPTIONS, method=method, max_tile=size), recorder).patches
         for size, recorder in zip((160, 90), recorders, strict=True)
     )
 

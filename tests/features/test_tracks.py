@@ -22,11 +22,12 @@ def _pair(first, second, *matches):
     return PairMatches(first, second, torch.tensor(matches, dtype=torch.long).reshape(-1, 2))
 
 
-def _as_sets(tracks):
+def _as_sets(built):
     """Each track as the sorted list of (image, keypoint)."""
-    found = [[] for _ in range(tracks.num_tracks)]
-    for image, track, pixel in zip(tracks.image.tolist(), tracks.track.tolist(), tracks.pixels.tolist(), strict=True):
-        found[track].append((image, int(pixel[0])))
+    seen, colors = built
+    found = [[] for _ in colors]
+    for view, point, pixel in zip(seen.view.tolist(), seen.point.tolist(), seen.pixels.tolist(), strict=True):
+        found[point].append((view, int(pixel[0])))
     return sorted(found)
 
 
@@ -44,16 +45,25 @@ def test_a_match_that_closes_a_circle_adds_nothing():
     assert _as_sets(build_tracks(_features(1, 1, 1), pairs)) == [[(0, 0), (1, 0), (2, 0)]]
 
 
-def test_observations_are_sorted_by_track_and_image_and_carry_their_pixels_and_colours():
+def test_observations_are_sorted_by_track_and_image_and_carry_their_pixels():
     pairs = [_pair(2, 0, (0, 1), (1, 0)), _pair(1, 2, (2, 1))]
 
-    tracks = build_tracks(_features(3, 3, 3), pairs)
+    seen, _ = build_tracks(_features(3, 3, 3), pairs)
 
-    order = list(zip(tracks.track.tolist(), tracks.image.tolist(), strict=True))
+    order = list(zip(seen.point.tolist(), seen.view.tolist(), strict=True))
     assert order == sorted(order)
-    assert torch.equal(tracks.pixels[:, 1].long(), tracks.image)
-    assert torch.equal(tracks.colors[:, 0].long(), tracks.image)
-    assert torch.equal(tracks.colors[:, 1].long(), tracks.pixels[:, 0].long())
+    assert torch.equal(seen.pixels[:, 1].long(), seen.view)
+
+
+def test_the_colour_of_a_track_is_the_mean_of_its_keypoints():
+    pairs = [_pair(2, 0, (0, 1), (1, 0)), _pair(1, 2, (2, 1))]
+
+    seen, colors = build_tracks(_features(3, 3, 3), pairs)
+
+    assert colors.dtype == torch.uint8
+    for point, color in enumerate(colors.tolist()):
+        mine = seen[seen.point == point]
+        assert color == [round(float(mine.view.double().mean())), round(float(mine.pixels[:, 0].mean())), 0]
 
 
 def test_a_track_with_two_keypoints_of_one_image_is_dropped_whole():
@@ -75,29 +85,28 @@ def test_keypoints_at_one_position_of_different_images_stay_apart():
     features = _features(2, 2)
     features[1].pixels[:] = features[0].pixels
 
-    tracks = build_tracks(features, [_pair(0, 1, (0, 1))])
+    seen, _ = build_tracks(features, [_pair(0, 1, (0, 1))])
 
-    assert tracks.image.tolist() == [0, 1]
+    assert seen.view.tolist() == [0, 1]
 
 
 @pytest.mark.parametrize(("min_length", "expected"), [(2, 2), (3, 1), (4, 0)])
 def test_tracks_of_too_few_images_are_dropped(min_length, expected):
     pairs = [_pair(0, 1, (0, 0), (1, 1)), _pair(1, 2, (0, 0))]
 
-    tracks = build_tracks(_features(2, 2, 2), pairs, min_length)
+    seen, colors = build_tracks(_features(2, 2, 2), pairs, min_length)
 
-    assert tracks.num_tracks == expected
-    assert sorted(set(tracks.track.tolist())) == list(range(expected))
+    assert len(colors) == expected
+    assert sorted(set(seen.point.tolist())) == list(range(expected))
 
 
 @pytest.mark.parametrize("pairs", [[], [_pair(0, 1)]], ids=["no pairs", "a pair without matches"])
 @pytest.mark.parametrize("counts", [(3, 3), (0, 0), (3, 0)])
 def test_without_matches_there_are_no_tracks(pairs, counts):
-    tracks = build_tracks(_features(*counts), pairs)
+    seen, colors = build_tracks(_features(*counts), pairs)
 
-    assert tracks.num_tracks == 0
-    assert (tracks.image.shape, tracks.track.shape) == ((0,), (0,))
-    assert (tracks.pixels.shape, tracks.colors.shape) == ((0, 2), (0, 3))
+    assert (seen.view.shape, seen.point.shape) == ((0,), (0,))
+    assert (seen.pixels.shape, colors.shape) == ((0, 2), (0, 3))
 
 
 def test_an_image_without_features_takes_no_part():

@@ -5,8 +5,8 @@
 Without a folder it takes the embedded scene. Whole runs are started as a user starts them, each in a process of its
 own; the models without refraction are the peers, and the last column is their RMS to the true planes over the
 refractive one of the same method. Patches a second counts patches that are adjusted in up to five other images from
-guesses a few pixels off, kept or not; PMVS2 makes 890 a second and core. Sampling compares PyTorch's grid_sample with
-kornia's warps on the windows of patches.
+guesses a few pixels off, believed or not; PMVS2 makes 890 a second and core. Sampling compares PyTorch's grid_sample
+with kornia's warps on the windows of patches.
 """
 
 import argparse
@@ -92,19 +92,15 @@ def sampling(count: int = 2000) -> None:
 def patches(folder: Path) -> None:
     """Adjust patches of one image from perturbed planes."""
     capture = tr.load_capture(folder)
-    reconstruction = tr.reconstruct(capture)
     options = DenseOptions(method="patch")
-    hoods = find_neighbours(reconstruction, options)
-    image = max(hoods, key=lambda i: int((reconstruction.image == i).sum()))
-    scope = next(scopes(image, hoods[image], reconstruction.cameras, Images(capture), options))
+    view, neighbourhood = next(iter(find_neighbours(tr.reconstruct(capture), options).items()))
+    scope = next(scopes(neighbourhood, Images(capture), options))
     cells = Cells(scope, options.cell)
     start = time.perf_counter()
-    grown = Patches.together(
-        [sparse_seeds(scope, cells, reconstruction, options), *grow(scope, cells, options)],
-    )
+    grown = Patches.together([sparse_seeds(scope, cells, options), *grow(scope, cells, options)])
     seconds = time.perf_counter() - start
     tried = int(cells.tries.sum())
-    print(f"growth over {capture.names[image]}: {len(grown)} patches of {tried} tried in {seconds:.1f} s, "
+    print(f"growth over {capture.names[view]}: {len(grown)} patches of {tried} tried in {seconds:.1f} s, "
           f"{len(grown) / seconds:.0f} patches/s")  # fmt: skip
     generator = torch.Generator().manual_seed(0)
     chosen = grown[torch.randperm(len(grown), generator=generator)[:PATCHES].sort().values]
@@ -118,9 +114,11 @@ def patches(folder: Path) -> None:
         def work(chosen_options: DenseOptions = chosen_options) -> Tensor:
             return refine(scope, chosen.pixels, Planes(moved, chosen.normals + tilt), chosen_options)[1]
 
-        kept = len(work())
+        believed = len(work())
         rate = len(chosen) / _seconds(work, 3)
-        print(f"  adjusting in up to {views} other images: {rate:6.0f} patches/s, {kept / len(chosen):.1%} kept")
+        print(
+            f"  adjusting in up to {views} other images: {rate:6.0f} patches/s, {believed / len(chosen):.1%} believed"
+        )
 
 
 def runs(folder: Path, methods: list[str], models: list[str]) -> None:

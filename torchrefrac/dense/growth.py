@@ -6,6 +6,7 @@ A cell beside one that has a patch supposes that patch's plane to go on. Every w
 from collections.abc import Iterator
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.dense.options import DenseOptions
@@ -23,13 +24,12 @@ class Cells:
 
     def __init__(self, scope: Scope, cell: int) -> None:
         centers = scope.centers(cell)
-        self.rows, self.columns = centers.shape[:2]
+        (self.rows, self.columns), device = centers.shape[:2], scope.device
         self.pixels = centers.reshape(-1, 2)
         count = len(self.pixels)
-        device = scope.device
         self.origin = torch.tensor(scope.tile[:2], device=device) // cell
         self.cell = cell
-        self._told = 0
+        self._reported = 0
         self.filled = torch.zeros(count, dtype=torch.bool, device=device)
         self.score = torch.full((count,), UNTRIED, dtype=torch.float64, device=device)
         self.points = torch.zeros(count, 3, dtype=torch.float64, device=device)
@@ -37,15 +37,21 @@ class Cells:
         self.tries = torch.zeros(count, dtype=torch.long, device=device)
         self.tried = self.score.clone()  # what the best plane that has failed here was worth
 
-    def index(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
-        """Cells (N) that pixels (N, 2) lie in, and which lie in one (N)."""
+    def index(self, pixels: Float[Tensor, "n 2"]) -> tuple[Int[Tensor, " n"], Bool[Tensor, " n"]]:
+        """Cells that pixels lie in, and which lie in one."""
         at = (pixels / self.cell).floor().long() - self.origin
         column, row = at.unbind(dim=-1)
         inside = (column >= 0) & (column < self.columns) & (row >= 0) & (row < self.rows)
         return torch.where(inside, row * self.columns + column, 0), inside
 
-    def fill(self, cells: Tensor, points: Tensor, normals: Tensor, score: Tensor) -> None:
-        """Where several planes (k) come to one cell, the best stays."""
+    def fill(
+        self,
+        cells: Int[Tensor, " k"],
+        points: Float[Tensor, "k 3"],
+        normals: Float[Tensor, "k 3"],
+        score: Float[Tensor, " k"],
+    ) -> None:
+        """Where several planes come to one cell, the best stays."""
         order = score.argsort(stable=True)
         order = order[cells[order].argsort(stable=True)]
         best = torch.ones_like(order, dtype=torch.bool)
@@ -56,13 +62,13 @@ class Cells:
         self.points[at], self.normals[at] = points[rows], normals[rows]
         self.score[at], self.filled[at] = score[rows], True
 
-    def newly_filled(self) -> int:
+    def filled_since(self) -> int:
         """How many have been filled since this was last asked."""
-        before, self._told = self._told, int(self.filled.sum())
-        return self._told - before
+        before, self._reported = self._reported, int(self.filled.sum())
+        return self._reported - before
 
-    def frontier(self) -> tuple[Tensor, Tensor]:
-        """Empty cells (k) near filled ones, and of these the one (k) whose plane is to be tried: the best of the next.
+    def frontier(self) -> tuple[Int[Tensor, " k"], Int[Tensor, " k"]]:
+        """Empty cells near filled ones, and of these the one whose plane is to be tried: the best of the next.
 
         Only where it is better or nearer than what was tried before.
         """

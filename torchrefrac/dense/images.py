@@ -4,6 +4,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import torch
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from torchrefrac.dense.matching.interest_points import InterestPoints, detect_interest_points
@@ -18,15 +19,15 @@ class Images:
     """Grey and coloured pixels as 8-bit tensors, and the masks that lie in masks/ beside images/.
 
     masks/NAME.png, where NAME is that of the image with or without its ending: black is left out. Of the grey images
-    the last few are kept.
+    the last few are remembered.
     """
 
-    def __init__(self, capture: Capture, kept: int = 24) -> None:
+    def __init__(self, capture: Capture, remembered: int = 24) -> None:
         self.capture = capture
         self.size = (capture.intrinsics.height, capture.intrinsics.width)
         self._masks = [_mask_path(capture, name) for name in capture.names]
-        self.grey = lru_cache(maxsize=kept)(self._grey)
-        self.allowed = lru_cache(maxsize=kept)(self._allowed)
+        self.grey = lru_cache(maxsize=remembered)(self._grey)
+        self.allowed = lru_cache(maxsize=remembered)(self._allowed)
         self.interest_points = lru_cache(maxsize=None)(self._interest_points)
 
     @property
@@ -40,14 +41,16 @@ class Images:
             if mask is not None:
                 self.allowed(i)
 
-    def colors(self, image: int, pixels: Tensor) -> Tensor:
-        """(k, 3) uint8 RGB at pixels (k, 2)."""
-        picture = torch.from_numpy(read_color(self.capture.paths[image]))
-        column, row = pixels.long().unbind(dim=-1)
-        return picture[row, column].flip(-1)
+    def colors(self, image: Int[Tensor, " n"], pixels: Float[Tensor, "n 2"]) -> UInt8[Tensor, "n 3"]:
+        """RGB at pixels of images, each of which is read once."""
+        colors, (column, row) = torch.zeros(len(pixels), 3, dtype=torch.uint8), pixels.long().unbind(dim=-1)
+        for each in image.unique().tolist():
+            rows = (image == each).nonzero()[:, 0]
+            picture = torch.from_numpy(read_color(self.capture.paths[each]))
+            colors[rows] = picture[row[rows], column[rows]].flip(-1)
+        return colors
 
-    def _grey(self, image: int) -> Tensor:
-        """(height, width) uint8."""
+    def _grey(self, image: int) -> UInt8[Tensor, "height width"]:
         path = self.capture.paths[image]
         if not path.is_file():
             raise CaptureError(f"{path} does not exist any more, but the reconstruction has its pose; put it back")
@@ -69,14 +72,14 @@ class Images:
                 found.append((pixels[mine], points.kind[mine]))
         return InterestPoints(*(torch.cat(parts) for parts in zip(*found, strict=True)))
 
-    def _allowed(self, image: int) -> Tensor:
-        """(height, width) which pixels the mask lets through."""
+    def _allowed(self, image: int) -> Bool[Tensor, "height width"]:
+        """Which pixels the mask lets through."""
         path = self._masks[image]
         if path is None:
             return torch.ones(self.size, dtype=torch.bool)
         return self._sized(torch.from_numpy(read_grey(path)), path) > 0
 
-    def _sized(self, picture: Tensor, path: Path) -> Tensor:
+    def _sized(self, picture: UInt8[Tensor, "height width"], path: Path) -> UInt8[Tensor, "height width"]:
         if tuple(picture.shape) != self.size:
             found, wanted = (f"{width}x{height}" for height, width in (picture.shape, self.size))
             raise CaptureError(f"{path} is {found}, but the images are {wanted}; give it their size")

@@ -1,63 +1,85 @@
-"""Which images to compare with which, and between which distances to look, as the sparse points tell."""
+"""Which views to compare with which, and between which distances to look, as the sparse points say."""
 
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchrefrac.camera import RefractiveCamera
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.rays import PixelRays
-from torchrefrac.dense.view_angle import angle_between, fitness
-from torchrefrac.scene import Reconstruction
+from torchrefrac.scene import Scene
 
 MARGIN = 0.25  # of the range of distances of the sparse points, added at either end
 MIN_POINTS = 5
+MIN_ANGLE = 1.0  # degrees; below, two images say nothing about distance
 
 
 class Neighbourhood(NamedTuple):
-    """of an image: others (n) best first; near, far: distances along its rays (see `PixelRays`)."""
+    """A reference view, the views that it is compared with, and what is known of the surface that it shows.
 
-    others: Tensor
+    ids: which views of the scene these are, the reference first, then the others, best first; cameras (v): theirs;
+    near, far: distances along the reference's rays (see `PixelRays`); points: those that it observes, at pixels.
+    """
+
+    ids: Int[Tensor, " v"]
+    cameras: RefractiveCamera
     near: float
     far: float
+    points: Float[Tensor, "k 3"]
+    pixels: Float[Tensor, "k 2"]
 
 
-def find_neighbours(reconstruction: Reconstruction, options: DenseOptions) -> dict[int, Neighbourhood]:
-    """Of every registered image that shares points with another one seen at a useful angle.
+def find_neighbours(scene: Scene, options: DenseOptions) -> dict[int, Neighbourhood]:
+    """Of every registered view that shares points with another one at a useful angle; those with most points first.
 
-    An image's worth to another is the sum over common points of how near the angle between their rays is to the best.
+    A view's worth to another is the sum over common points of how near the angle between their rays is to the best.
     """
-    shared = _visibility(reconstruction)
-    found = {}
-    for image in reconstruction.registered.nonzero()[:, 0].tolist():
-        points = shared[:, image].nonzero()[:, 0]
-        if len(points) < MIN_POINTS:
+    cameras, seen, center = scene.camera_of(), scene.observations, scene.views.center
+    shared = torch.zeros(len(scene.points), len(scene.views), dtype=torch.bool)
+    shared[seen.point, seen.view] = True
+    found: dict[int, Neighbourhood] = {}
+    for view in scene.views.registered.nonzero()[:, 0].tolist():
+        mine = seen[seen.view == view]
+        if len(mine) < MIN_POINTS:
             continue
-        worth = _worth(reconstruction, image, points, shared, options)
-        order = worth.argsort(descending=True, stable=True)[: options.neighbours]
-        order = order[worth[order] > 0.0]
-        if len(order):
-            found[image] = Neighbourhood(order, *_range(reconstruction, image, reconstruction.points[points]))
-    return found
+        points = scene.points[mine.point]
+        fits = fitness(angle_between(center[:, None], center[view], points), options)
+        others = _best(fits, shared[mine.point].T, scene.views.registered, view, options.neighbours)
+        if len(others):
+            ids = torch.cat((torch.tensor([view]), others))
+            found[view] = Neighbourhood(ids, cameras[ids], *_range(cameras[view], points), points, mine.pixels)
+    return dict(sorted(found.items(), key=lambda item: -len(item[1].points)))
 
 
-def _visibility(reconstruction: Reconstruction) -> Tensor:
-    """(n, m) which points are observed in which images."""
-    seen = torch.zeros(len(reconstruction.points), len(reconstruction.names), dtype=torch.bool)
-    seen[reconstruction.point, reconstruction.image] = True
-    return seen
+def angle_between(
+    first: Float[Tensor, "*#batch 3"], second: Float[Tensor, "*#batch 3"], points: Float[Tensor, "*#batch 3"]
+) -> Float[Tensor, "*#batch"]:
+    """Degrees between the straight lines from points to two centres."""
+    a, b = (torch.nn.functional.normalize(center - points, dim=-1) for center in (first, second))
+    return torch.rad2deg(torch.acos((a * b).sum(dim=-1).clamp(-1.0, 1.0)))
 
 
-def _worth(reconstruction: Reconstruction, image: int, points: Tensor, shared: Tensor, options: DenseOptions) -> Tensor:
-    """Of all images (m) to `image`."""
-    angle = angle_between(reconstruction.center[:, None], reconstruction.center[image], reconstruction.points[points])
-    fits = torch.where(shared[points].T, fitness(angle, options), 0.0)
-    fits[image] = 0.0
-    return fits.sum(dim=1) * reconstruction.registered
+def fitness(angle: Float[Tensor, "*batch"], options: DenseOptions) -> Float[Tensor, "*batch"]:
+    """How well two images go together whose rays meet at an angle in degrees: 1 at the best angle, less to either side,
+    0 where nothing is to be learnt."""
+    fits = torch.minimum(angle / options.angle_best, options.angle_best / angle.clamp(min=MIN_ANGLE))
+    return torch.where((angle > MIN_ANGLE) & (angle < options.angle_max), fits, 0.0)
 
 
-def _range(reconstruction: Reconstruction, image: int, points: Tensor) -> tuple[float, float]:
-    camera = reconstruction.cameras[image]
+def _best(
+    fits: Float[Tensor, "m k"], shared: Bool[Tensor, "m k"], registered: Bool[Tensor, " m"], view: int, count: int
+) -> Int[Tensor, " n"]:
+    """The views of most worth to `view`, whose k points they share or not."""
+    fits = torch.where(shared, fits, 0.0)
+    fits[view] = 0.0
+    worth = fits.sum(dim=1) * registered
+    order = worth.argsort(descending=True, stable=True)[:count]
+    return order[worth[order] > 0.0]
+
+
+def _range(camera: RefractiveCamera, points: Float[Tensor, "k 3"]) -> tuple[float, float]:
     pixels, _ = camera.project(points)
     distance = PixelRays.cast(camera, pixels).distance_of(points)
     low, high = float(distance.quantile(0.01)), float(distance.quantile(0.99))

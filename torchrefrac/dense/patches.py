@@ -3,52 +3,54 @@
 from dataclasses import dataclass, fields, replace
 
 import torch
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
+from torchrefrac.scene import DenseCloud
 
 
 @dataclass(frozen=True)
 class Patches:
-    """N patches. reference (N): index of the image; pixels (N, 2): where they are centred in it.
+    """reference: the views that they were found in, centred at pixels.
 
-    points, normals (N, 3): world frame, the normals unit and towards the camera; sigma (N): standard deviation along
-    the ray, footprint (N): how far one reference pixel reaches there, both in length_unit; score (N): mean ZNCC of the
-    images that agree; others (N, V): images that the patch was compared with, and which of them agree: visible (N, V).
+    points and normals: world frame, the normals unit and towards the camera; sigma: standard deviation along the ray,
+    footprint: how far one reference pixel reaches there, both in length_unit; score: mean ZNCC of the images that
+    agree; others: views that each patch was compared with, and which of them agree: visible.
     """
 
-    reference: Tensor
-    pixels: Tensor
-    points: Tensor
-    normals: Tensor
-    sigma: Tensor
-    footprint: Tensor
-    score: Tensor
-    others: Tensor
-    visible: Tensor
+    reference: Int[Tensor, " n"]
+    pixels: Float[Tensor, "n 2"]
+    points: Float[Tensor, "n 3"]
+    normals: Float[Tensor, "n 3"]
+    sigma: Float[Tensor, " n"]
+    footprint: Float[Tensor, " n"]
+    score: Float[Tensor, " n"]
+    others: Int[Tensor, "n v"]
+    visible: Bool[Tensor, "n v"]
 
     def __len__(self) -> int:
         return len(self.reference)
 
-    def __getitem__(self, rows: Tensor) -> "Patches":
-        """Some of them, by a mask (N) or indices."""
+    def __getitem__(self, rows: Bool[Tensor, " n"] | Int[Tensor, " k"]) -> "Patches":
+        """Some of them, by a mask or indices."""
         return Patches(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     @property
-    def thickness(self) -> Tensor:
-        """How far off its plane another patch of the same surface may lie (N): a footprint, or 3 sigma."""
+    def thickness(self) -> Float[Tensor, " n"]:
+        """How far off its plane another patch of the same surface may lie: a footprint, or 3 sigma."""
         return torch.maximum(self.footprint, 3.0 * self.sigma)
 
-    def seen_by(self, image: int | Tensor) -> Tensor:
-        """Which of them (N) their own comparison has shown to be seen by an image, or to be found in it."""
-        return (self.reference == image) | ((self.others == image) & self.visible).any(dim=1)
+    def seen_by(self, view: int | Int[Tensor, ""]) -> Bool[Tensor, " n"]:
+        """Which of them their own comparison has shown to be seen by a view, or to be found in it."""
+        return (self.reference == view) | ((self.others == view) & self.visible).any(dim=1)
 
-    def facing(self, camera: RefractiveCamera) -> Tensor:
-        """Which of them (N) a single camera stands before."""
+    def facing(self, camera: RefractiveCamera) -> Bool[Tensor, " n"]:
+        """Which of them a single camera stands before."""
         return (self.normals * (camera.center_in_world - self.points)).sum(dim=-1) > 0
 
     def padded(self, views: int) -> "Patches":
-        """The same with V = views, the images that were not compared marked as not visible."""
+        """The same with so many `others`; what was not compared is not visible."""
         more = views - self.others.shape[1]
         if more <= 0:
             return self
@@ -59,9 +61,14 @@ class Patches:
         """The same on another device."""
         return Patches(*(getattr(self, f.name).to(device) for f in fields(self)))
 
+    def cloud(self, colors: UInt8[Tensor, "n 3"], length_unit: str) -> DenseCloud:
+        """What remains of them where nobody asks for pixels any more."""
+        known = (self.points, self.normals, colors, self.sigma, self.score, self.views, self.reference)
+        return DenseCloud(*known, length_unit)
+
     @property
-    def views(self) -> Tensor:
-        """How many images agree (N), the reference included."""
+    def views(self) -> Int[Tensor, " n"]:
+        """How many images agree, the reference included."""
         return 1 + self.visible.sum(dim=1)
 
     @classmethod
@@ -74,5 +81,5 @@ class Patches:
 
     @classmethod
     def together(cls, parts: list["Patches"]) -> "Patches":
-        """One table of several with the same number of views."""
+        """One table of several with as many `others`."""
         return cls(*(torch.cat([getattr(part, f.name) for part in parts]) for f in fields(cls)))

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -13,22 +14,24 @@ from torchrefrac.dense.matching.interest_points import InterestPoints
 
 @dataclass(frozen=True)
 class Scope:
-    """1 + n images; the first is the reference, of which the cells in `tile` are worked on.
+    """v images; the first is the reference, of which the cells in `tile` are worked on.
 
-    ids (1 + n): which images of the reconstruction these are; cameras (1 + n); atlas: of the same images, or of the
-    parts that show what the tile can see; allowed (1 + n, height, width): pixels that no mask excludes, None: all;
-    near, far: distances along the reference's rays (see `PixelRays`) between which the surface lies; tile: left, top,
-    right, bottom in pixels; interest_points: those of an image, given its id.
+    ids: which views of the scene these are; cameras (v); atlas: of the same images, or of the parts that show what the
+    tile can see; allowed: pixels that no mask excludes, None: all; near, far: distances along the reference's rays (see
+    `PixelRays`) between which the surface lies; tile: left, top, right, bottom in pixels; interest_points: those of an
+    image, given its id; points: sparse points that the reference observes, at pixels.
     """
 
-    ids: Tensor
+    ids: Int[Tensor, " v"]
     cameras: RefractiveCamera
     atlas: Atlas
-    allowed: Tensor | None
+    allowed: Bool[Tensor, "v height width"] | None
     near: float
     far: float
     tile: tuple[int, int, int, int]
     interest_points: Callable[[int], InterestPoints]
+    points: Float[Tensor, "k 3"]
+    pixels: Float[Tensor, "k 2"]
 
     @property
     def device(self) -> torch.device:
@@ -38,8 +41,8 @@ class Scope:
     def others(self) -> int:
         return len(self.ids) - 1
 
-    def is_allowed(self, image: Tensor, pixels: Tensor) -> Tensor:
-        """Whether pixels (*B, 2) of local images (*B) are inside and not masked (*B)."""
+    def is_allowed(self, image: Int[Tensor, "*batch"], pixels: Float[Tensor, "*batch 2"]) -> Bool[Tensor, "*batch"]:
+        """Whether pixels of local images are inside and not masked."""
         intrinsics = self.cameras.intrinsics
         inside = intrinsics.contains(pixels)
         if self.allowed is None:
@@ -48,8 +51,8 @@ class Scope:
         row = pixels[..., 1].long().clamp(0, intrinsics.height - 1)
         return inside & self.allowed[image, row, column]
 
-    def centers(self, cell: int) -> Tensor:
-        """Centres (rows, columns, 2) of the tile's cells; those cut off by the image's border are left out.
+    def centers(self, cell: int) -> Float[Tensor, "rows columns 2"]:
+        """Centres of the tile's cells; those cut off by the image's border are left out.
 
         Cell row i, column j of the image has its centre in the middle of a pixel, or between pixels where `cell` is
         even.

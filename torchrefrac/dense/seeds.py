@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import torch
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from torchrefrac.dense.growth import Cells
@@ -13,7 +14,6 @@ from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.refine import Planes, refine
 from torchrefrac.dense.scope import Scope
-from torchrefrac.scene import Reconstruction
 
 MATCHED_IMAGES = 3  # in which candidates are looked for
 BAND = 2.0  # pixels by which a candidate may lie off the curve
@@ -45,8 +45,10 @@ def cover_repeated(scope: Scope, cells: Cells, known: Patches, maps: int) -> Non
     cells.fill(at[rows], known.points[rows], known.normals[rows], known.score[rows])
 
 
-def _seen(scope: Scope, cells: Cells, known: Patches) -> tuple[Tensor, Tensor, Tensor]:
-    """For each known patch (N) the cell that it lies in, whether it lies in one and faces the reference, and whether
+def _seen(
+    scope: Scope, cells: Cells, known: Patches
+) -> tuple[Int[Tensor, " n"], Bool[Tensor, " n"], Bool[Tensor, " n"]]:
+    """For each known patch the cell that it lies in, whether it lies in one and faces the reference, and whether
     its own comparison has shown that the reference sees it."""
     camera = scope.cameras[0]
     pixels, valid = camera.project(known.points, inside_image=True)
@@ -54,13 +56,11 @@ def _seen(scope: Scope, cells: Cells, known: Patches) -> tuple[Tensor, Tensor, T
     return at, valid & inside & known.facing(camera), known.seen_by(scope.ids[0])
 
 
-def sparse_seeds(scope: Scope, cells: Cells, reconstruction: Reconstruction, options: DenseOptions) -> Patches:
+def sparse_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Patches:
     """Patches at the sparse points that the reference observes, where their cell is empty."""
-    observed = reconstruction.image == int(scope.ids[0])
-    points = reconstruction.points[reconstruction.point[observed]].to(scope.device)
-    at, inside = cells.index(reconstruction.pixels[observed].to(scope.device))
-    facing = scope.cameras[0].center_in_world - points
-    return begin(scope, cells, at[inside], Planes(points[inside], facing[inside]), options)
+    at, inside = cells.index(scope.pixels)
+    facing = scope.cameras[0].center_in_world - scope.points
+    return begin(scope, cells, at[inside], Planes(scope.points, facing)[inside], options)
 
 
 def matched_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Patches:
@@ -89,16 +89,16 @@ def matched_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Patches:
     return begin(scope, cells, at[rows[point[best]]], planes[best], options)
 
 
-def begin(scope: Scope, cells: Cells, at: Tensor, planes: Planes, options: DenseOptions) -> Patches:
-    """Refine one patch in each empty cell of `at` (k), from its first plane, and fill the cells."""
+def begin(scope: Scope, cells: Cells, at: Int[Tensor, " k"], planes: Planes, options: DenseOptions) -> Patches:
+    """Refine one patch in each empty cell of `at`, from its first plane, and fill the cells."""
     rows = first_of_each(at, ~cells.filled[at])
     patches, good = refine(scope, cells.pixels[at[rows]], planes[rows], options)
     cells.fill(at[rows[good]], patches.points, patches.normals, patches.score)
     return patches
 
 
-def first_of_each(cells: Tensor, wanted: Tensor) -> Tensor:
-    """The first row of every cell among the `wanted` (n) of rows that lie in `cells` (n)."""
+def first_of_each(cells: Int[Tensor, " n"], wanted: Bool[Tensor, " n"]) -> Int[Tensor, " k"]:
+    """The first row of every cell among the `wanted` of rows that lie in `cells`."""
     rows = wanted.nonzero()[:, 0]
     order = cells[rows].argsort(stable=True)
     ordered = cells[rows[order]]

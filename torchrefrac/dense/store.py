@@ -1,4 +1,4 @@
-"""Finished images of a dense reconstruction, kept so that an interrupted one goes on where it stopped."""
+"""Finished views of a dense reconstruction, stored so that an interrupted one goes on where it stopped."""
 
 import hashlib
 import json
@@ -13,11 +13,11 @@ from torchrefrac.atomic import replacing
 from torchrefrac.dense.images import MASKS
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
-from torchrefrac.scene import Capture, Reconstruction
+from torchrefrac.scene import Capture, Scene
 
 
 class Store(Protocol):
-    """Keeps the patches of finished images."""
+    """Where the patches of finished views lie."""
 
     def load(self, image: int) -> Patches | None: ...
 
@@ -25,7 +25,7 @@ class Store(Protocol):
 
 
 class NoStore:
-    """Keeps nothing."""
+    """Stores nothing."""
 
     def load(self, image: int) -> Patches | None:
         return None
@@ -34,11 +34,11 @@ class NoStore:
 
 
 class FolderStore:
-    """Keeps them in a folder, one file an image, with what they were made from; others that lie there are removed."""
+    """Stores them in a folder, one file a view, with what they were made from; others that lie there are removed."""
 
-    def __init__(self, folder: Path, capture: Capture, reconstruction: Reconstruction, options: DenseOptions) -> None:
+    def __init__(self, folder: Path, scene: Scene, capture: Capture, options: DenseOptions) -> None:
         self.folder = folder
-        made_from = fingerprint(capture, reconstruction, options)
+        made_from = fingerprint(scene, capture, options)
         label = folder / "made_from.txt"
         if not label.is_file() or label.read_text(encoding="ascii") != made_from:
             self.clear()
@@ -68,16 +68,17 @@ class FolderStore:
         return self.folder / f"patches_{image:05d}.npz"
 
 
-def fingerprint(capture: Capture, reconstruction: Reconstruction, options: DenseOptions) -> str:
-    """A hash of all that decides the patches: poses, lens, water, points, options, image files and masks."""
+def fingerprint(scene: Scene, capture: Capture, options: DenseOptions) -> str:
+    """A hash of all that decides the patches: poses, intrinsics, water, points, options, image files and masks."""
     digest = hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode())
-    lens = reconstruction.intrinsics
+    views, cameras, interfaces, seen = scene.views, scene.cameras, scene.interfaces, scene.observations
     for tensor in (
-        *(reconstruction.registered, reconstruction.rotation, reconstruction.center, reconstruction.points),
-        *(reconstruction.image, reconstruction.point, lens.focal, lens.principal_point, lens.distortion),
+        *(views.registered, views.rotation, views.center, scene.points, seen.view, seen.point, seen.pixels),
+        *(cameras.focal, cameras.principal_point, cameras.distortion),
+        *(interfaces.normal, interfaces.offset, interfaces.index_ratio),
     ):
         digest.update(tensor.contiguous().numpy().tobytes())
-    digest.update(repr((reconstruction.index_ratio, lens.width, lens.height)).encode())
+    digest.update(repr(cameras.sizes).encode())
     for path in (*capture.paths, *sorted((capture.folder / MASKS).glob("**/*.png"))):
         stat = path.stat()
         digest.update(repr((path.name, stat.st_size, stat.st_mtime_ns)).encode())

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 CHUNK = 512
@@ -15,8 +16,10 @@ class MatchOptions:
     ratio: float = 0.8
 
 
-def match(descriptors1: Tensor, descriptors2: Tensor, options: MatchOptions) -> Tensor:
-    """Index pairs (k, 2) of matching unit descriptors (n, d) and (m, d), ascending in the first column.
+def match(
+    descriptors1: Float[Tensor, "n d"], descriptors2: Float[Tensor, "m d"], options: MatchOptions
+) -> Int[Tensor, "k 2"]:
+    """Index pairs of matching unit descriptors, ascending in the first column.
 
     Exhaustive; works through chunks of rows so that memory stays small.
     """
@@ -39,5 +42,5 @@ def match(descriptors1: Tensor, descriptors2: Tensor, options: MatchOptions) -> 
     squared_distance = (2.0 - 2.0 * torch.cat(similar)).clamp(min=0.0)
     distinct = squared_distance[:, 0] < options.ratio**2 * squared_distance[:, 1]
     rows = torch.arange(len(descriptors1), device=descriptors1.device)
-    keep = distinct & (best_row[target] == rows)
-    return torch.stack((rows[keep], target[keep]), dim=-1)
+    mutual = distinct & (best_row[target] == rows)
+    return torch.stack((rows[mutual], target[mutual]), dim=-1)

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from torchrefrac.files.capture import read_color
@@ -13,7 +14,7 @@ from torchrefrac.files.capture import read_color
 
 @dataclass(frozen=True)
 class SiftOptions:
-    """OpenCV's SIFT parameters; max_features keeps the strongest (0: all)."""
+    """OpenCV's SIFT parameters; max_features: the strongest (0: all)."""
 
     max_features: int = 8192
     octave_layers: int = 3
@@ -23,11 +24,11 @@ class SiftOptions:
 
 @dataclass(frozen=True)
 class Features:
-    """Keypoints of one image: pixels (k, 2), unit descriptors (k, 128) float32, colors (k, 3) uint8 RGB."""
+    """Keypoints of one image, with unit descriptors and RGB colours."""
 
-    pixels: Tensor
-    descriptors: Tensor
-    colors: Tensor
+    pixels: Float[Tensor, "k 2"]
+    descriptors: Float[Tensor, "k 128"]
+    colors: UInt8[Tensor, "k 3"]
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -63,6 +64,6 @@ def extract_sift(path: Path, options: SiftOptions) -> Features:
     )
 
 
-def _root_sift(descriptors: Tensor) -> Tensor:
+def _root_sift(descriptors: Float[Tensor, "k 128"]) -> Float[Tensor, "k 128"]:
     total = descriptors.sum(dim=-1, keepdim=True).clamp(min=torch.finfo(descriptors.dtype).tiny)
     return (descriptors / total).sqrt()

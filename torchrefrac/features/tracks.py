@@ -5,32 +5,35 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Float, Int, UInt8
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from torchrefrac.features.sift import Features
-from torchrefrac.scene import Tracks
+from torchrefrac.scene import Observations
 
 
 @dataclass(frozen=True)
 class PairMatches:
-    """Matches (k, 2) between the keypoints of images `first` and `second`."""
+    """Matches between the keypoints of images `first` and `second`."""
 
     first: int
     second: int
-    matches: Tensor
+    matches: Int[Tensor, "k 2"]
 
     def __len__(self) -> int:
         return len(self.matches)
 
 
-def build_tracks(features: Sequence[Features], pairs: Sequence[PairMatches], min_length: int = 2) -> Tracks:
-    """Join matches into tracks over all images.
+def build_tracks(
+    features: Sequence[Features], pairs: Sequence[PairMatches], min_length: int = 2
+) -> tuple[Observations, UInt8[Tensor, "n 3"]]:
+    """Join matches into tracks over all images: observations of n points, and the mean colour of each.
 
-    Keypoints of one image at one position (SIFT gives a keypoint several orientations) count as one. A component
-    that holds two positions in one image is contradictory and dropped whole; so are those of fewer than `min_length`
-    images.
+    Observations ascend by point, then by view. Keypoints of one image at one position (SIFT gives a keypoint several
+    orientations) count as one. A component that has two positions in one image is contradictory and dropped whole; so
+    are those of fewer than `min_length` images.
     """
     counts = [len(f) for f in features]
     offset = np.concatenate(([0], np.cumsum(counts)))
@@ -52,25 +55,26 @@ def build_tracks(features: Sequence[Features], pairs: Sequence[PairMatches], min
     contradictory = torch.zeros(int(label.max()) + 1 if len(label) else 0, dtype=torch.bool)
     contradictory[key[times > 1] // len(features)] = True
     length = torch.bincount(component, minlength=len(contradictory))
-    keep = ~contradictory[component] & (length[component] >= min_length)
-    component, used = component[keep], used[keep]
+    chosen = ~contradictory[component] & (length[component] >= min_length)
+    component, used = component[chosen], used[chosen]
     _, track = torch.unique(component, return_inverse=True)
     order = torch.argsort(track * len(features) + image[used])
     used, track = used[order], track[order]
-    return Tracks(
-        image=image[used],
-        track=track,
-        pixels=pixels[used],
-        colors=torch.cat([f.colors for f in features])[used],
-        num_tracks=int(track.max()) + 1 if len(track) else 0,
-    )
+    colors = torch.cat([f.colors for f in features])[used]
+    return Observations(image[used], track, pixels[used]), _mean_colors(track, colors)
 
 
-def _merge_positions(image: Tensor, pixels: Tensor) -> Tensor:
-    """For each keypoint the first keypoint of its image at the same position (N)."""
+def _mean_colors(track: Int[Tensor, " k"], colors: UInt8[Tensor, "k 3"]) -> UInt8[Tensor, "n 3"]:
+    """Of each of the tracks, which ascend and count from 0."""
+    count = torch.bincount(track)
+    total = torch.zeros(len(count), 3, dtype=torch.float64).index_add_(0, track, colors.double())
+    return (total / count[:, None]).round().to(torch.uint8)
+
+
+def _merge_positions(image: Int[Tensor, " n"], pixels: Float[Tensor, "n 2"]) -> Int[Tensor, " n"]:
+    """For each keypoint the first keypoint of its image at the same position."""
     key = torch.cat((image[:, None].double(), pixels), dim=-1)
     _, group = torch.unique(key, dim=0, return_inverse=True)
     ids = torch.arange(len(pixels))
     first = torch.full((int(group.max()) + 1 if len(group) else 0,), len(pixels), dtype=torch.long)
-    first = first.scatter_reduce(0, group, ids, reduce="amin")
-    return first[group]
+    return first.scatter_reduce(0, group, ids, reduce="amin")[group]

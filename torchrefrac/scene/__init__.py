@@ -8,7 +8,6 @@ from torchrefrac.scene.observations import Observations
 from torchrefrac.scene.raster import Raster
 from torchrefrac.scene.scene import Assessment, Part, Scene, SceneError, mean_deviation, reprojection_errors
 from torchrefrac.scene.survey import Survey, SurveyError
-from torchrefrac.scene.tracks import Tracks
 from torchrefrac.scene.truth import Truth, TruthPoints
 from torchrefrac.scene.views import Views
 
@@ -27,7 +26,6 @@ __all__ = [
     "SceneError",
     "Survey",
     "SurveyError",
-    "Tracks",
     "Truth",
     "TruthPoints",
     "Views",

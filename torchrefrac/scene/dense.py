@@ -1,9 +1,9 @@
 """What a dense reconstruction consists of: oriented points, and what each image sees of the surface."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
-from jaxtyping import Bool, Float, Int, Shaped, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 
@@ -12,8 +12,8 @@ class DenseCloud:
     """Oriented points on the surfaces of a scene, in its world frame (z up, water surface at z = 0).
 
     points in length_unit; normals: unit, towards the cameras; sigma: standard deviation of a point along its viewing
-    ray, in length_unit; score: mean zero-normalised cross-correlation (at most 1) of the reference image with the
-    others; views: by how many images a point is seen, the reference included; reference: index of the reference image.
+    ray, in length_unit; score: mean zero-normalised cross-correlation (at most 1) of the reference view with the
+    others; views: by how many a point is seen, the reference included; reference: index of the reference view.
     """
 
     points: Float[Tensor, "n 3"]
@@ -28,18 +28,10 @@ class DenseCloud:
     def __len__(self) -> int:
         return len(self.points)
 
-    def __getitem__(self, rows: Shaped[Tensor, " m"]) -> "DenseCloud":
+    def __getitem__(self, rows: Bool[Tensor, " n"] | Int[Tensor, " k"]) -> "DenseCloud":
         """Some of the points, by a mask or indices."""
-        return DenseCloud(
-            self.points[rows],
-            self.normals[rows],
-            self.colors[rows],
-            self.sigma[rows],
-            self.score[rows],
-            self.views[rows],
-            self.reference[rows],
-            self.length_unit,
-        )
+        columns = (getattr(self, f.name) for f in fields(self)[:-1])
+        return DenseCloud(*(column[rows] for column in columns), self.length_unit)
 
     @classmethod
     def empty(cls, length_unit: str) -> "DenseCloud":
@@ -50,7 +42,7 @@ class DenseCloud:
 
 @dataclass(frozen=True)
 class DepthMap:
-    """What one image sees of the surface, on a grid of cells of `step` x `step` pixels.
+    """What one view sees of the surface, on a grid of h x w cells of `step` x `step` pixels.
 
     Where valid: points in the world frame, at the cell's centre, of row i and column j the pixel (step (j + 1/2),
     step (i + 1/2)); depth: their z in the camera's frame, the ordinary depth (not the apparent one); sigma along the

@@ -9,7 +9,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Raster:
-    """The surface on r x c square cells; row 0 is the northernmost (the largest y), column 0 the westernmost.
+    """The surface on rows x columns square cells; row 0 is the northernmost (the largest y), column 0 the westernmost.
 
     height: world z of the surface, above the water surface, in length_unit; sigma: its standard deviation; count: how
     many points it is the mean of; valid: where there is a surface; filled: where it is not measured but interpolated
@@ -17,30 +17,30 @@ class Raster:
     first cell, in the world frame; cell_size: side of a cell, in length_unit.
     """
 
-    height: Float[Tensor, "r c"]
-    sigma: Float[Tensor, "r c"]
-    count: Int[Tensor, "r c"]
-    colors: UInt8[Tensor, "r c 3"]
-    valid: Bool[Tensor, "r c"]
-    filled: Bool[Tensor, "r c"]
+    height: Float[Tensor, "rows columns"]
+    sigma: Float[Tensor, "rows columns"]
+    count: Int[Tensor, "rows columns"]
+    colors: UInt8[Tensor, "rows columns 3"]
+    valid: Bool[Tensor, "rows columns"]
+    filled: Bool[Tensor, "rows columns"]
     x_west: float
     y_north: float
     cell_size: float
     length_unit: str
 
     @property
-    def depth(self) -> Float[Tensor, "r c"]:
+    def depth(self) -> Float[Tensor, "rows columns"]:
         """Depth of the surface below the water surface, -height; negative on land."""
         return 0.0 - self.height
 
     @property
-    def x(self) -> Float[Tensor, " c"]:
+    def x(self) -> Float[Tensor, " columns"]:
         """World x of the centres of the cells, ascending."""
         columns = torch.arange(self.height.shape[1], dtype=self.height.dtype, device=self.height.device)
         return self.x_west + (columns + 0.5) * self.cell_size
 
     @property
-    def y(self) -> Float[Tensor, " r"]:
+    def y(self) -> Float[Tensor, " rows"]:
         """World y of the centres of the cells, descending."""
         rows = torch.arange(self.height.shape[0], dtype=self.height.dtype, device=self.height.device)
         return self.y_north - (rows + 0.5) * self.cell_size
