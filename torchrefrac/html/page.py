@@ -1,10 +1,10 @@
 """Pages from templates: what is inserted is escaped, and the style is part of the page."""
 
+from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from torchrefrac import __version__
 from torchrefrac.atomic import replacing
 
 
@@ -17,7 +17,7 @@ def write_page(template: str, path: Path, **content: Any) -> None:
         loader=FunctionLoader(_read), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     page = environment.get_template(template).render(
-        style=Markup(_read("style.css")), version=__version__, **content
+        style=Markup(_read("style.css")), version=import_module("torchrefrac").__version__, **content
     )
     with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
