@@ -47,11 +47,11 @@ def read_options(file: Path, package: str, chosen: Mapping[str, str]) -> tuple[d
     own = {option.name: option for option in _leaves(root, lines, package)}
     others: dict[str, Option] = {}
     groups: list[Group] = []
-    for key, choice in _defaults(root):
+    for key, listed in _defaults(root):
         folder, place = _target(key, file, package)
+        choice = chosen.get(key, listed)
         if folder != file.parent:
-            groups.append(read_group(folder.relative_to(CONF).as_posix(), chosen.get(key, choice)))
-            choice = groups[-1].choice
+            groups.append(read_group(folder.relative_to(CONF).as_posix(), choice))
         if choice is not None:
             others |= read_options(folder / f"{choice}.yaml", place, {})[0]
     for name, option in others.items():

@@ -171,14 +171,14 @@ def _summary(given: Scene, adjusted: Scene, outcome: Outcome) -> dict[str, Any]:
 
 def _lost(scene: Scene, survey: Survey) -> dict[str, Any]:
     """Where the ground control points are, and what did not fit the rest."""
-    count = len(survey.mark_names)
+    count = len(survey.control_names)
     ties = len(scene.points) - count
-    control = zip(survey.mark_names, scene.points[ties:].tolist(), scene.placed[ties:].tolist(), strict=True)
+    control = zip(survey.control_names, scene.points[ties:].tolist(), scene.placed[ties:].tolist(), strict=True)
     control = list(control)
     views = zip(scene.views.names, scene.views.registered.tolist(), strict=True)
     found = {
         "marks": {name: position for name, position, placed in control if placed},
-        "lost_marks": [*(name for name, _, placed in control if not placed), *survey.skipped_marks],
+        "lost_marks": [*(name for name, _, placed in control if not placed), *survey.skipped_controls],
         "lost_images": [name for name, registered in views if not registered],
         "images_only_in_survey": list(survey.skipped),
     }
