@@ -66,7 +66,7 @@ def dense_stage(
     """
     folder = files.folder
     files.save_metrics()
-    parts = FolderStore(folder / PARTS, capture, scene, options)
+    parts = FolderStore(folder / PARTS, scene, capture, options)
     store, start = _CountingStore(parts), time.perf_counter()
     dense = densify(scene, capture, options, recorder, store)
     seconds = time.perf_counter() - start

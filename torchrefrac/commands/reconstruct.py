@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from torchrefrac.bundle.rows import LENS
+from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.run_folder import RunFolder, describe_gravity
@@ -135,10 +135,10 @@ def _initializer(
     """
     sfm = options.sfm
     if options.model.name != "refractive" or ratio == 1.0:
-        lens = tuple(name for name in sfm.bundle.refine if name in LENS)
-        if options.model.name == "radial" and "distortion" not in lens:
-            lens = (*(name for name in lens if name != "radial"), "radial")
-        sfm = replace(sfm, bundle=replace(sfm.bundle, refine=lens))
+        refine = tuple(name for name in sfm.bundle.refine if name in INTRINSICS)
+        if options.model.name == "radial" and "distortion" not in refine:
+            refine = (*(name for name in refine if name != "radial"), "radial")
+        sfm = replace(sfm, bundle=replace(sfm.bundle, refine=refine))
     if options.model.name != "refractive":
         return PinholeInitializer(capture, sfm), sfm
     if ratio == 1.0:

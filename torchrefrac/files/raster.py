@@ -1,6 +1,7 @@
 """Files of a raster: `dsm.npz`, and GeoTIFF for geographic information systems."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -30,11 +31,9 @@ def load_raster(path: str | Path) -> Raster:
     """Read what `write_raster` wrote, to the last bit. Raises DenseFileError where the file is missing or damaged."""
     wanted = GRIDS | {"length_unit": "U:"} | dict.fromkeys(NUMBERS, "n:")
     found = read_arrays(path, wanted, DenseFileError, FORMAT)
-    return Raster(
-        **{name: torch.from_numpy(found[name]) for name in GRIDS if name != "depth"},
-        **{name: float(found[name]) for name in NUMBERS},
-        length_unit=str(found["length_unit"]),
-    )
+    values: dict[str, Any] = {name: torch.from_numpy(found[name]) for name in GRIDS if name != "depth"}
+    values |= {name: float(found[name]) for name in NUMBERS}
+    return Raster(**values, length_unit=str(found["length_unit"]))
 
 
 def require_geotiff(crs: str | None = None) -> None:
