@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Bool, Shaped
 from torch import Tensor
 from torch._C import _functorch  # pyright: ignore[reportAttributeAccessIssue]
 
@@ -11,7 +12,7 @@ HALF = (torch.float16, torch.bfloat16)
 
 
 def require(
-    value: Tensor | float,
+    value: Shaped[Tensor, "..."] | float,
     name: str,
     *,
     at_least: float | None = None,
@@ -37,13 +38,13 @@ def require(
     raise ValueError(f"{name} is {bad:g}{where}, but must be {wants}")
 
 
-def require_floating(value: Tensor | float, name: str) -> None:
+def require_floating(value: Shaped[Tensor, "..."] | float, name: str) -> None:
     """Refuse tensors of whole numbers."""
     if isinstance(value, Tensor) and not value.is_floating_point():
         raise ValueError(f"{name} has dtype {value.dtype}, but must be a floating-point tensor")
 
 
-def require_ending(value: Tensor, name: str, ending: Sequence[int]) -> None:
+def require_ending(value: Shaped[Tensor, "..."], name: str, ending: Sequence[int]) -> None:
     """Refuse tensors whose last dimensions are not `ending`."""
     if tuple(value.shape[-len(ending) :]) != tuple(ending):
         wants = str(tuple(ending)) if len(ending) > 1 else f"({ending[0]},)"
@@ -63,17 +64,17 @@ def require_broadcasting(**shapes: Sequence[int]) -> torch.Size:
         raise ValueError(f"shapes do not broadcast: {listed}") from None
 
 
-def at_least_single(value: Tensor) -> Tensor:
+def at_least_single(value: Shaped[Tensor, "*shape"]) -> Shaped[Tensor, "*shape"]:
     """Half precision raised to float32: pixels and refraction need more than three digits."""
     return value.float() if value.dtype in HALF else value
 
 
-def holds_everywhere(condition: Tensor) -> bool:
+def holds_everywhere(condition: Bool[Tensor, "..."]) -> bool:
     """Whether a mask is True throughout; True, unseen, in compiled code."""
     return torch.compiler.is_compiling() or bool(unwrapped(condition).all())
 
 
-def _extremes(value: Tensor | float) -> tuple[float, float]:
+def _extremes(value: Shaped[Tensor, "..."] | float) -> tuple[float, float]:
     """Smallest and largest value; NaN if there is one."""
     if not isinstance(value, Tensor):
         return float(value), float(value)
@@ -81,7 +82,7 @@ def _extremes(value: Tensor | float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def unwrapped(value: Tensor) -> Tensor:
+def unwrapped(value: Shaped[Tensor, "..."]) -> Shaped[Tensor, "..."]:
     """The values inside the wrappers of `torch.func` transforms."""
     value = value.detach()
     while is_wrapped(value):
@@ -89,6 +90,6 @@ def unwrapped(value: Tensor) -> Tensor:
     return value
 
 
-def is_wrapped(value: Tensor) -> bool:
+def is_wrapped(value: Shaped[Tensor, "..."]) -> bool:
     """Whether a `torch.func` transform holds the tensor."""
     return _functorch.is_functorch_wrapped_tensor(value)

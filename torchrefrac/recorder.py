@@ -1,12 +1,13 @@
-"""Where a run reports to: the protocol that every stage may be given, and the one that keeps silent.
+"""Where a run reports to: the protocol that every stage may be given, and the one that records nothing.
 
-A leaf of the package: any layer may import it, sinks (a terminal, TensorBoard, a file) live in `torchrefrac.report`.
+A leaf of the package: any layer may import it, sinks (a terminal, TensorBoard, a file) live in `torchrefrac.record`.
 """
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol, TypeVar
 
+from jaxtyping import Float, Shaped, UInt8
 from torch import Tensor
 
 T = TypeVar("T")
@@ -18,23 +19,23 @@ class Recorder(Protocol):
 
     @property
     def wants_pictures(self) -> bool:
-        """Whether histograms, clouds and pictures are kept; where they are not, nobody needs to make any."""
+        """Whether histograms, clouds and pictures are recorded; where they are not, nobody needs to make any."""
         ...
 
     def scalar(self, name: str, value: float, step: int) -> None:
         """One point of a curve."""
         ...
 
-    def histogram(self, name: str, values: Tensor, step: int) -> None:
-        """How values (N) are distributed; those that are not finite are left out."""
+    def histogram(self, name: str, values: Shaped[Tensor, " n"], step: int) -> None:
+        """How values are distributed; those that are not finite are left out."""
         ...
 
-    def picture(self, name: str, image: Tensor, step: int) -> None:
-        """An image (H, W, 3) uint8 RGB."""
+    def picture(self, name: str, image: UInt8[Tensor, "height width 3"], step: int) -> None:
+        """An image in RGB."""
         ...
 
-    def cloud(self, name: str, points: Tensor, colors: Tensor, step: int) -> None:
-        """Points (N, 3) with colours (N, 3) uint8."""
+    def cloud(self, name: str, points: Float[Tensor, "n 3"], colors: UInt8[Tensor, "n 3"], step: int) -> None:
+        """Points with colours."""
         ...
 
     def note(self, text: str) -> None:
@@ -50,7 +51,7 @@ class Recorder(Protocol):
         ...
 
     def meter(self, total: int, description: str, unit: str) -> AbstractContextManager[Advance]:
-        """For work that comes in lumps: `advance(how many, what else to say)`. An empty unit: its lumps are no number
+        """For work that comes in lumps: `advance(how many, further text)`. An empty unit: its lumps are no number
         that would mean anything to a person."""
         ...
 
@@ -64,11 +65,11 @@ class SilentRecorder:
 
     def scalar(self, name: str, value: float, step: int) -> None: ...
 
-    def histogram(self, name: str, values: Tensor, step: int) -> None: ...
+    def histogram(self, name: str, values: Shaped[Tensor, " n"], step: int) -> None: ...
 
-    def picture(self, name: str, image: Tensor, step: int) -> None: ...
+    def picture(self, name: str, image: UInt8[Tensor, "height width 3"], step: int) -> None: ...
 
-    def cloud(self, name: str, points: Tensor, colors: Tensor, step: int) -> None: ...
+    def cloud(self, name: str, points: Float[Tensor, "n 3"], colors: UInt8[Tensor, "n 3"], step: int) -> None: ...
 
     def note(self, text: str) -> None: ...
 

@@ -1,13 +1,16 @@
 """Linear least squares in two unknowns on the unit circle (LSQI, Golub & Van Loan, section 6.2.1)."""
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 SECULAR_ITERATIONS = 30
 
 
-def least_squares_on_circle(gram: Tensor, rhs: Tensor) -> Tensor:
-    """The unit vector y (*B, 2) that minimises y^T G y - 2 g^T y, for G (*B, 2, 2) and g (*B, 2).
+def least_squares_on_circle(
+    gram: Float[Tensor, "*batch 2 2"], rhs: Float[Tensor, "*batch 2"]
+) -> Float[Tensor, "*batch 2"]:
+    """The unit vector y that minimises y^T G y - 2 g^T y, for G = `gram` and g = `rhs`.
 
     With G = A^T A and g = A^T b this is min |A y - b| on |y| = 1. Lagrange: (G + mu I) y = g. In the
     eigenbasis of G (values l_1 <= l_2, g = (b_1, b_2)) the secular equation sum (b_i / (l_i + mu))^2 = 1 has

@@ -1,12 +1,13 @@
 """Determinant and adjugate of batches of 4x4 matrices, from the 2x2 minors of the two upper and of the two lower rows.
 
-Matrices are (4, 4, *B): with the batch last every step runs along contiguous memory, ten times faster than
+The batch stands last: so every step runs along contiguous memory, ten times faster than
 `torch.linalg`.
 """
 
 from itertools import combinations
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 PAIRS = tuple(combinations(range(4), 2))
@@ -14,27 +15,27 @@ LEFT, RIGHT = ([pair[k] for pair in PAIRS] for k in (0, 1))
 LAPLACE = (1.0, -1.0, 1.0, 1.0, -1.0, 1.0)  # sign of a pair of columns times its complement
 
 
-def determinant_4x4(matrix: Tensor) -> Tensor:
-    """(*B) of (4, 4, *B), by Laplace's expansion."""
+def determinant_4x4(matrix: Float[Tensor, "4 4 *batch"]) -> Float[Tensor, "*batch"]:
+    """The determinant by Laplace's expansion."""
     upper, lower = _minors(matrix)
     signed = upper * _along(LAPLACE, upper)
     return (signed * lower.flip(0)).sum(dim=0)
 
 
-def adjugate_4x4(matrix: Tensor) -> Tensor:
-    """(4, 4, *B) with A adj(A) = det(A) I; at rank 3 its columns are multiples of the null vector."""
+def adjugate_4x4(matrix: Float[Tensor, "4 4 *batch"]) -> Float[Tensor, "4 4 *batch"]:
+    """The matrix with A adj(A) = det(A) I; at rank 3 its columns are multiples of the null vector."""
     parts = torch.cat((*_minors(matrix), matrix.flatten(0, 1)))
     terms = parts[ENTRY] * parts[MINOR] * _along(SIGN, parts)
     return terms.unflatten(0, (16, 3)).sum(dim=1).unflatten(0, (4, 4))
 
 
-def _minors(matrix: Tensor) -> tuple[Tensor, Tensor]:
-    """Those (6, *B) of rows 0 and 1 and of rows 2 and 3, in the order of PAIRS."""
+def _minors(matrix: Float[Tensor, "4 4 *batch"]) -> tuple[Float[Tensor, "6 *batch"], Float[Tensor, "6 *batch"]]:
+    """Those of rows 0 and 1 and of rows 2 and 3, in the order of PAIRS."""
     a, b, c, d = matrix
     return a[LEFT] * b[RIGHT] - a[RIGHT] * b[LEFT], c[LEFT] * d[RIGHT] - c[RIGHT] * d[LEFT]
 
 
-def _along(values: tuple[float, ...], like: Tensor) -> Tensor:
+def _along(values: tuple[float, ...], like: Float[Tensor, "_ *batch"]) -> Float[Tensor, "n *ones"]:
     return like.new_tensor(values).reshape(-1, *(1 for _ in like.shape[1:]))
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
+from jaxtyping import Shaped
 from torch import Tensor
 
 
@@ -21,8 +22,8 @@ def pick(value: Any, index: Any, batch: Sequence[int], event_dims: int = 0) -> A
     return value.expand(*batch, *event)[parts]
 
 
-def thin(rows: Tensor, count: int) -> Tensor:
-    """`count` of the rows (N), spread evenly, or all where there are fewer."""
+def thin(rows: Shaped[Tensor, "n *row"], count: int) -> Shaped[Tensor, "m *row"]:
+    """`count` of the rows, spread evenly, or all where there are fewer."""
     if len(rows) <= count:
         return rows
     return rows[torch.linspace(0, len(rows) - 1, count, dtype=torch.float64, device=rows.device).round().long()]

@@ -1,19 +1,20 @@
 """Numbers as tensors beside others."""
 
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from torchrefrac.checks import at_least_single, require_broadcasting, require_floating
 
 
-def like(value: Tensor | float, reference: Tensor) -> Tensor:
+def like(value: Shaped[Tensor, "*shape"] | float, reference: Shaped[Tensor, "..."]) -> Shaped[Tensor, "*shape"]:
     """`value` in the dtype and on the device of `reference`; a number is written there, not copied from the host."""
     if isinstance(value, Tensor):
         return value.to(dtype=reference.dtype, device=reference.device)
     return reference.new_full((), value)
 
 
-def alike(**values: Tensor | float) -> list[Tensor]:
+def alike(**values: Shaped[Tensor, "..."] | float) -> list[Float[Tensor, "*#batch"]]:
     """Tensors of one dtype on one device: that of the tensors among them, at least single; else double precision.
 
     Raises ValueError that names the arguments for tensors of whole numbers and for shapes that do not broadcast.

@@ -1,13 +1,14 @@
 """Places on a curve that fills space: points with near places are near each other."""
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 BITS = 16
 
 
-def morton_code(points: Tensor) -> Tensor:
-    """Morton (Z-order) codes (N), whole numbers, of points (N, 3) in their bounding cube."""
+def morton_code(points: Float[Tensor, "n 3"]) -> Int[Tensor, " n"]:
+    """Morton (Z-order) codes of points in their bounding cube."""
     if len(points) == 0:
         return torch.zeros(0, dtype=torch.long, device=points.device)
     finite = torch.where(points.isfinite(), points, 0.0)

@@ -1,14 +1,17 @@
 """Roots of batches of small polynomials as eigenvalues of their companion matrices."""
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 
-def real_roots(coefficients: Tensor, tolerance: float | None = None) -> tuple[Tensor, Tensor]:
+def real_roots(
+    coefficients: Float[Tensor, "*batch terms"], tolerance: float | None = None
+) -> tuple[Float[Tensor, "*batch n"], Bool[Tensor, "*batch n"]]:
     """All roots of `coefficients[0] x^n + ... + coefficients[n]`, and which of them are real.
 
-    coefficients: (*B, n + 1), highest power first, the first one not zero.
-    Returns the real parts (*B, n) and a mask (*B, n); a root counts as real when its imaginary part is
+    coefficients: the n + 1 of each polynomial, highest power first, the first one not zero.
+    Returns the real parts and a mask; a root counts as real when its imaginary part is
     below `tolerance` times max(1, |root|) (default: 64 square roots of the machine epsilon, which still
     admits the double roots that rounding has split into a conjugate pair).
     """

@@ -1,15 +1,14 @@
 """Single-precision work done in double where differences of its numbers matter."""
 
-from collections.abc import Callable
-
 import torch
-from torch import Tensor
+
+from torchrefrac.numerics.blocks import AnyTensor, Tensors
 
 
-def in_double(function: Callable[..., tuple[Tensor, ...]]) -> Callable[..., tuple[Tensor, ...]]:
+def in_double(function: Tensors) -> Tensors:
     """`function` computed in float64 for float32 tensors and rounded once; MPS has no float64 and stays as it is."""
 
-    def computed(*tensors: Tensor) -> tuple[Tensor, ...]:
+    def computed(*tensors: AnyTensor) -> tuple[AnyTensor, ...]:
         if tensors[0].dtype != torch.float32 or tensors[0].device.type == "mps":
             return function(*tensors)
         results = function(*(tensor.double() for tensor in tensors))

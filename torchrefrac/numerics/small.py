@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 
-def inverse_cholesky_3x3(matrix: Tensor) -> Tensor:
-    """The lower triangular X with X A X^T = I for symmetric positive definite A (*B, 3, 3).
+def inverse_cholesky_3x3(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """The lower triangular X with X A X^T = I for symmetric positive definite A.
 
-    X is the inverse of the Cholesky factor, so A^-1 = X^T X. Pivots are kept above rounding error of
+    X is the inverse of the Cholesky factor, so A^-1 = X^T X. Pivots are raised above rounding error of
     the diagonal: a singular A gives a large but finite X.
     """
     a = matrix
@@ -21,8 +22,8 @@ def inverse_cholesky_3x3(matrix: Tensor) -> Tensor:
     return torch.stack(rows, dim=-1).reshape(matrix.shape)
 
 
-def inverse_cholesky_components(a: Sequence[Tensor]) -> tuple[Tensor, ...]:
-    """`inverse_cholesky_3x3` of matrices whose lower triangles are held apart, row by row: six tensors (*B)."""
+def inverse_cholesky_components(a: Sequence[Float[Tensor, "*batch"]]) -> tuple[Float[Tensor, "*batch"], ...]:
+    """`inverse_cholesky_3x3` of matrices whose lower triangles are given as six tensors, row by row."""
     a00, a10, a11, a20, a21, a22 = a
     eps, tiny = torch.finfo(a00.dtype).eps, torch.finfo(a00.dtype).tiny
     x00 = a00.clamp(min=tiny).rsqrt()
@@ -36,8 +37,8 @@ def inverse_cholesky_components(a: Sequence[Tensor]) -> tuple[Tensor, ...]:
     return x00, x10, x11, x20, x21, x22
 
 
-def smallest_eigenvector_2x2(matrix: Tensor) -> Tensor:
-    """Unit eigenvector (*B, 2) of the smaller eigenvalue of symmetric matrices (*B, 2, 2).
+def smallest_eigenvector_2x2(matrix: Float[Tensor, "*batch 2 2"]) -> Float[Tensor, "*batch 2"]:
+    """Unit eigenvector of the smaller eigenvalue of symmetric matrices.
 
     Its angle follows from the double-angle formula, which needs no division and no case distinction;
     for a multiple of the identity any vector is right and (0, 1) is returned.

@@ -8,22 +8,25 @@ does, the extremum in between is one more node: it tells two roots from none.
 import math
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 NODES_PER_DEGREE = 32
 POLISHES = 3
 
 
-def fourier_coefficients(samples: Tensor) -> Tensor:
-    """(a_0, a_1, b_1, ..., a_d, b_d) (*B, 2d + 1) of the polynomial with the values `samples` at 2 pi i / (2d + 1)."""
+def fourier_coefficients(samples: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
+    """(a_0, a_1, b_1, ..., a_d, b_d) of the polynomial with the n = 2d + 1 values `samples` at 2 pi i / n."""
     count = samples.shape[-1]
     inverse = _basis(_grid(count, samples), (count - 1) // 2) * (2.0 / count)
     inverse[:, 0] *= 0.5
     return samples @ inverse
 
 
-def roots_on_circle(coefficients: Tensor) -> tuple[Tensor, Tensor]:
-    """Up to 2d real roots (*B, 2d) in [0, 2 pi] of coefficients (*B, 2d + 1), and which entries are roots (*B, 2d).
+def roots_on_circle(
+    coefficients: Float[Tensor, "*batch n"],
+) -> tuple[Float[Tensor, "*batch n-1"], Bool[Tensor, "*batch n-1"]]:
+    """Up to 2d real roots in [0, 2 pi] of the polynomials with n = 2d + 1 coefficients, and which entries are roots.
 
     Whether a double root is found is up to rounding; of three roots within 360 / (16 d) degrees one may be.
     """
@@ -44,20 +47,30 @@ def roots_on_circle(coefficients: Tensor) -> tuple[Tensor, Tensor]:
     return _polish(coefficients, left, torch.where(right < left, 2.0 * math.pi, right), *_ends(value, at)), found
 
 
-def _changes(value: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Up to `count` places (*B, count) where the next of the values (*B, N) has another sign, and which are such."""
+def _changes(
+    value: Float[Tensor, "*batch n"], count: int
+) -> tuple[Bool[Tensor, "*batch {count}"], Int[Tensor, "*batch {count}"]]:
+    """Which of up to `count` places are those where the next of the values has another sign, and the places."""
     below = value < 0.0
     found, at = (below != below.roll(-1, dims=-1)).to(torch.uint8).topk(count, dim=-1)
     return found > 0, at
 
 
-def _ends(value: Tensor, at: Tensor) -> tuple[Tensor, Tensor]:
-    """Values (*B, count) at the places `at` of (*B, N) and at those that follow, the first after the last."""
+def _ends(
+    value: Float[Tensor, "*batch n"], at: Int[Tensor, "*batch k"]
+) -> tuple[Float[Tensor, "*batch k"], Float[Tensor, "*batch k"]]:
+    """Values at the places `at` and at those that follow, the first after the last."""
     return value.gather(-1, at), value.gather(-1, (at + 1) % value.shape[-1])
 
 
-def _polish(coefficients: Tensor, left: Tensor, right: Tensor, at_left: Tensor, at_right: Tensor) -> Tensor:
-    """Steps to the root of the parabola that touches f, cubically convergent and at home beside an extremum.
+def _polish(
+    coefficients: Float[Tensor, "*batch n"],
+    left: Float[Tensor, "*#batch k"],
+    right: Float[Tensor, "*#batch k"],
+    at_left: Float[Tensor, "*batch k"],
+    at_right: Float[Tensor, "*batch k"],
+) -> Float[Tensor, "*batch k"]:
+    """Steps to the root of the parabola that touches f, cubically convergent beside an extremum too.
 
     They start from the end of the bracket where f, given there, is smaller: beside an extremum that is where the root
     is. A step that leaves the shrinking bracket halves it instead.
@@ -77,18 +90,18 @@ def _polish(coefficients: Tensor, left: Tensor, right: Tensor, at_left: Tensor, 
     return x
 
 
-def _grid(count: int, like: Tensor) -> Tensor:
+def _grid(count: int, like: Float[Tensor, "..."]) -> Float[Tensor, " {count}"]:
     return torch.arange(count, dtype=like.dtype, device=like.device) * (2.0 * math.pi / count)
 
 
-def _basis(x: Tensor, degree: int) -> Tensor:
-    """(1, cos x, sin x, ..., cos dx, sin dx) of x (*B): (*B, 2d + 1)."""
+def _basis(x: Float[Tensor, "*batch"], degree: int) -> Float[Tensor, "*batch 2*{degree}+1"]:
+    """(1, cos x, sin x, ..., cos dx, sin dx), d = `degree`."""
     angle = x[..., None] * torch.arange(1, degree + 1, dtype=x.dtype, device=x.device)
     waves = torch.stack((angle.cos(), angle.sin()), dim=-1).flatten(-2)
     return torch.cat((torch.ones_like(x)[..., None], waves), dim=-1)
 
 
-def _slope(coefficients: Tensor) -> Tensor:
+def _slope(coefficients: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
     """Coefficients of f'."""
     waves = coefficients[..., 1:].unflatten(-1, (-1, 2))
     k = torch.arange(1, waves.shape[-2] + 1, dtype=waves.dtype, device=waves.device)
