@@ -16,7 +16,7 @@ from tests.typechecking import SignatureError, checked
 
 PACKAGE = Path(torchrefrac.__file__).parent
 ROOMS_DONE = ()
-SHAPED = {"Bool", "Float", "Int", "Shaped", "UInt8"}
+SHAPED = {"Bool", "Float", "Int", "Real", "Shaped", "UInt8"}
 
 
 @pytest.mark.parametrize("room", ROOMS_DONE)

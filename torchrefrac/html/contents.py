@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.evaluate.metrics import evaluate
@@ -148,5 +149,5 @@ def _moved(scene: Reconstruction, change: Similarity) -> Reconstruction:
     )
 
 
-def _turned(covariance: Tensor, change: Similarity) -> Tensor:
+def _turned(covariance: Float[Tensor, "k 3 3"], change: Similarity) -> Float[Tensor, "k 3 3"]:
     return change.scale**2 * change.rotation @ covariance @ change.rotation.mT

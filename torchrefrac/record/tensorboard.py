@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 import cv2
+from jaxtyping import Float, Shaped, UInt8
 from torch import Tensor
 
 from torchrefrac.files.run import is_number
@@ -69,12 +70,12 @@ class TensorBoardRecorder(SilentRecorder):
     def scalar(self, name: str, value: float, step: int) -> None:
         self._writer.add_scalar(name, value, step)
 
-    def histogram(self, name: str, values: Tensor, step: int) -> None:
+    def histogram(self, name: str, values: Shaped[Tensor, " n"], step: int) -> None:
         finite = values[values.isfinite()]
         if len(finite):
             self._writer.add_histogram(name, finite, step)
 
-    def picture(self, name: str, image: Tensor, step: int) -> None:
+    def picture(self, name: str, image: UInt8[Tensor, "height width 3"], step: int) -> None:
         from tensorboard.compat.proto import summary_pb2  # noqa: PLC0415 - slow to import
 
         height, width, channels = image.shape
@@ -87,7 +88,7 @@ class TensorBoardRecorder(SilentRecorder):
             proto.Summary(value=[proto.Summary.Value(tag=name, image=shown)]), step
         )
 
-    def cloud(self, name: str, points: Tensor, colors: Tensor, step: int) -> None:
+    def cloud(self, name: str, points: Float[Tensor, "n 3"], colors: UInt8[Tensor, "n 3"], step: int) -> None:
         """Of a large cloud every n-th point alone."""
         every = -(-len(points) // MOST_POINTS)
         if not every:
