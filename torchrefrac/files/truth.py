@@ -16,8 +16,8 @@ def load_truth(folder: str | Path, with_surface: bool = True) -> Truth | None:
     """Read `folder`/truth.json; None where there is none.
 
     The index ratio is that of truth.json, or else, as always the intrinsics, that of the capture.json beside it, if
-    there is one. `surface` names a file of triangles beside it that trimesh can read; it is left out unless with_surface. Raises
-    CaptureError where a file is damaged, or the one of the surface is missing.
+    there is one. `surface` names a file of triangles beside it that trimesh can read; it is left out unless
+    with_surface. Raises CaptureError where a file is damaged, or the one of the surface is missing.
     """
     folder = Path(folder)
     path = folder / "truth.json"
