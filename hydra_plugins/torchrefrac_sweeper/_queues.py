@@ -19,7 +19,7 @@ from hydra_plugins.hydra_submitit_launcher.submitit_launcher import BaseSubmitit
 from omegaconf import OmegaConf
 from submitit.core.utils import FailedSubmissionError, UncompletedJobError
 
-from hydra_plugins.torchrefrac_sweeper.jobs import ending, find_job, outcome
+from torchrefrac.sweeps.jobs import ending, find_job, record_of
 
 LOST = "the job ended without a word: out of time, out of memory, or cancelled; its log is in"
 
@@ -49,7 +49,7 @@ class _Queue(BaseSubmititLauncher):
                 i = next(i for i, other in waiting.items() if other is job)
                 del waiting[i]
                 returned[i] = _result(job)
-                self._tell(job_overrides[i])
+                self._print_end(job_overrides[i])
         except KeyboardInterrupt:
             for job in waiting.values():
                 job.cancel(check=False)
@@ -69,14 +69,14 @@ class _Queue(BaseSubmititLauncher):
     def _environment(self) -> Iterator[None]:
         yield
 
-    def _tell(self, overrides: Sequence[str]) -> None:
-        """Say how a job ended, as its own output goes to a file."""
+    def _print_end(self, overrides: Sequence[str]) -> None:
+        """Print how a job ended, as its own output goes to a file."""
         assert self.config is not None
         sweep = Path(str(self.config.hydra.sweep.dir))
         name = overrides[-1].partition("=")[2].strip("'")
         place = find_job(sweep / name)
         if place is not None:
-            print(ending(*place, outcome(place[2], sweep)), flush=True)
+            print(ending(*place, record_of(place[2], sweep)), flush=True)
 
 
 class SlurmQueue(_Queue, SlurmLauncher):

@@ -1,7 +1,5 @@
 """What Hydra says in several lines, in one sentence."""
 
-import errno
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +7,13 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, MissingMandatoryValue, OmegaConfBaseException
 
+from torchrefrac.sweeps.failures import file_sentence
+
 COMPOSITION_ERRORS = (HydraException, OmegaConfBaseException)
-ABOUT_HYDRA = ("Error parsing override", "See http", "Config search path", "provider=", "full_key:", "object_type=")
-NOISE = (*ABOUT_HYDRA, "To append to")
-FULL = (errno.ENOSPC, errno.EDQUOT)
-FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
+NOISE = (
+    "Error parsing override", "See http", "Config search path", "provider=", "full_key:", "object_type=",
+    "To append to",
+)  # fmt: skip
 
 
 def one_sentence(error: BaseException, folder: Path | None = None) -> str:
@@ -27,7 +27,7 @@ def one_sentence(error: BaseException, folder: Path | None = None) -> str:
     if isinstance(error, HydraException | MissingMandatoryValue):
         return _composition(error)
     if isinstance(error, OSError) and error.errno is not None:
-        return _file(error, folder)
+        return file_sentence(error, folder)
     words = _words(error) or type(error).__name__
     return f"there is not enough memory ({words})" if isinstance(error, MemoryError) else words
 
@@ -61,23 +61,5 @@ def _known(parent: Any) -> str:
     return f"; known here are {', '.join(sorted(str(key) for key in parent if key != 'hydra'))}"
 
 
-def _file(error: OSError, folder: Path | None) -> str:
-    place = error.filename2 or error.filename or folder
-    if error.errno in FULL:
-        disk = "the disk" if place is None else f"the disk that holds {folder or Path(str(place)).parent}"
-        return f"{disk} is full; make room there, or give a folder elsewhere as out=DIR"
-    said = error.strerror or type(error).__name__
-    if place is None:
-        return said
-    remedy = "; where results should go there, give another folder as out=DIR" if error.errno in FORBIDDEN else ""
-    return f"{place} cannot be used ({said}){remedy}"
-
-
 def _words(error: BaseException) -> str:
-    return " ".join(" ".join(_telling(str(error))).split())
-
-
-def _telling(text: str) -> Iterator[str]:
-    for line in text.splitlines():
-        if not line.strip().startswith(NOISE):
-            yield line
+    return " ".join(" ".join(line for line in str(error).splitlines() if not line.strip().startswith(NOISE)).split())

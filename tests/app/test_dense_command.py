@@ -342,7 +342,11 @@ def _other_size(place):
         (None, ["run=run", "outputs.geotiff=true"], "outputs.geotiff is true, but a GeoTIFF needs rasterio"),
         (lambda p: _remove(p, "run/tracks.npz"), ["run=run"], "run holds no tracks.npz, which a run has"),
         (lambda p: _remove(p, "run/metrics.json"), ["run=run"], "capture is missing, and run/metrics.json does not"),
-        (lambda p: (p / "run/metrics.json").write_text("{"), ["run=run"], "run/metrics.json is not valid JSON"),
+        (
+            lambda p: (p / "run/metrics.json").write_text("{"),
+            ["run=run"],
+            "run/metrics.json is damaged: Expecting",
+        ),
         (lambda p: (p / "capture").rename(p / "moved"), ["run=run"], "the photographs of run were in "),
         (lambda p: _remove(p, "capture/images/cam02.jpg"), ["run=run"], "images/cam02.jpg does not exist"),
         (_forget_image, ["run=run"], "capture.json does not list cam00.jpg, whose pose is in run/cameras.json"),

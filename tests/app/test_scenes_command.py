@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from torchrefrac.cli import commands
-from torchrefrac.commands.run_folder import write_metrics
+from torchrefrac.files.run import RunRecord
 from torchrefrac.synthetic import library
 from torchrefrac.synthetic.scenes import mesh, tank
 
@@ -48,11 +48,11 @@ def captures(monkeypatch):
         counted = {"images": len(capture), "registered_images": len(capture), "points": 9, "seconds_total": 0.1}
         metrics = {"status": "complete", "stages": [], "model": options.model.name, "capture": str(capture.folder)}
         metrics |= counted | {"reprojection_median_px": 0.1, "gravity": "measured"} | about
-        write_metrics(metrics, folder)
+        RunRecord.of(folder, metrics).write()
         return metrics
 
     monkeypatch.setattr(commands, "run", run)
-    monkeypatch.setattr("torchrefrac.sweeps.draw_sweep", lambda *_: False)
+    monkeypatch.setattr("torchrefrac.sweeps.summary.draw_sweep", lambda *_: False)
     return seen
 
 

@@ -5,7 +5,7 @@ from hydra import compose, initialize_config_dir
 
 from torchrefrac import cli
 from torchrefrac.cli import CONF, commands, sweeps
-from torchrefrac.commands.run_folder import write_metrics
+from torchrefrac.files.run import RunRecord
 
 PRESETS = sorted(path.stem for path in (CONF / "sweep").glob("*.yaml"))
 
@@ -17,7 +17,8 @@ def jobs(monkeypatch):
 
     def remember(folder, options, settings):
         seen.append(options)
-        write_metrics({"status": "complete", "stages": [], "model": options.reconstruction.model.name}, folder)
+        about = {"status": "complete", "stages": [], "model": options.reconstruction.model.name}
+        RunRecord.of(folder, about).write()
 
     monkeypatch.setattr(commands, "reconstruct_into", remember)
     monkeypatch.setattr(sweeps, "_write", lambda folder, runs, config: [])

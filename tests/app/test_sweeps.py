@@ -10,7 +10,7 @@ import pytest
 
 from hydra_plugins.torchrefrac_sweeper.messages import one_sentence
 from torchrefrac.cli import commands
-from torchrefrac.commands.run_folder import write_metrics
+from torchrefrac.files.run import RunRecord
 
 
 @dataclass
@@ -28,7 +28,7 @@ class QuickRuns:
         measured = {"images": 2, "registered_images": 2, "points": 9, "reprojection_median_px": 0.1}
         told = {"model": options.model.name, "capture": str(capture.folder), "gravity": "measured"}
         metrics = {"status": "complete", "stages": [], "seconds_total": 0.1} | told | measured | about
-        write_metrics(metrics, folder)
+        RunRecord.of(folder, metrics).write()
         return metrics
 
 
@@ -36,7 +36,7 @@ class QuickRuns:
 def runs(monkeypatch):
     quick = QuickRuns()
     monkeypatch.setattr(commands, "run", quick)
-    monkeypatch.setattr("torchrefrac.sweeps.draw_sweep", lambda *_: False)
+    monkeypatch.setattr("torchrefrac.sweeps.summary.draw_sweep", lambda *_: False)
     return quick
 
 
@@ -199,7 +199,7 @@ def test_a_folder_of_another_sweep_is_left_alone(sweep, runs, statuses):
 
 
 def test_a_folder_of_a_single_run_is_left_alone(sweep, runs, tmp_path):
-    write_metrics({"status": "complete", "stages": []}, tmp_path / "runs")
+    RunRecord.of(tmp_path / "runs", {"status": "complete", "stages": []}).write()
 
     ended = sweep("model=none,radial")
 

@@ -3,11 +3,13 @@
 import json
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 import torch
 
 from tests.html.html_runs import LOST, Planted
+from torchrefrac.files.run import RunRecord
 from torchrefrac.html import write_report, write_sweep_report
 from torchrefrac.html.words import rounded, seconds, verdict, with_sigma
 
@@ -65,7 +67,7 @@ def test_the_verdict_is_one_sentence_of_what_matters():
         "index_ratio": 1.32996, "index_ratio_sigma": 0.000213, "true_index_ratio": 1.33,
     }  # fmt: skip
 
-    assert verdict(metrics, "cm") == (
+    assert verdict(RunRecord.of(Path(), metrics), "cm") == (
         "12 of 12 photographs placed; cameras within 0.0072 cm of the truth (RMS); "
         "index ratio 1.3300 ± 0.0002 (true 1.33)."
     )
@@ -86,7 +88,7 @@ def test_the_verdict_is_one_sentence_of_what_matters():
     ],
 )
 def test_a_run_that_did_not_finish_says_how_far_it_got_and_why_it_ended(metrics, sentence):
-    assert verdict(metrics, "") == sentence
+    assert verdict(RunRecord.of(Path(), metrics), "") == sentence
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,13 @@ import pytest
 
 from torchrefrac.figures.panels import blank_figure
 from torchrefrac.figures.side_views import MODEL_COLORS, TITLES
-from torchrefrac.sweeps import write_summary
+from torchrefrac.files.run import RunRecord
 from torchrefrac.sweeps.axes import set_heights
+from torchrefrac.sweeps.design import load_run, load_runs, short_keys, what_varied
 from torchrefrac.sweeps.figure import measures_of
-from torchrefrac.sweeps.jobs import Job, load_job, load_jobs, short_keys, what_varied
 from torchrefrac.sweeps.lines import lines_of, spots_of
 from torchrefrac.sweeps.pictured import shown_together
+from torchrefrac.sweeps.summary import write_summary
 from torchrefrac.sweeps.table import csv_text, results_table
 
 MODELS = ("none", "radial", "refractive")
@@ -35,10 +36,10 @@ def make_job(tmp_path):
         results = KNOWN | ERRORS if status == "complete" else {}
         metrics = {"status": status, **results, "scene": settings.get("scene", "tank")} | fields
         folder = tmp_path / f"{len(made)}_{settings.get('model', 'refractive')}"
-        reason = "" if status == "complete" else "no pair"
         made.append(folder)
-        scene, model = str(metrics["scene"]), settings.get("model", "refractive")
-        return Job(folder, status, reason, scene, model, settings, metrics)
+        reason = {} if status == "complete" else {"reason": "no pair"}
+        about = {"model": settings.get("model", "refractive"), "overrides": dict(settings)}
+        return RunRecord.of(folder, metrics | reason | about)
 
     return make
 
@@ -49,10 +50,7 @@ def write_job(make_job):
 
     def write(settings, status="complete", **fields):
         job = make_job(settings, status, **fields)
-        reason = {} if job.is_complete else {"reason": job.reason}
-        job.folder.mkdir()
-        content = {**job.metrics, **reason, "model": job.model, "overrides": dict(settings)}
-        (job.folder / "metrics.json").write_text(json.dumps(content))
+        job.write()
         return job.folder
 
     return write
@@ -79,7 +77,7 @@ def test_a_job_that_cannot_be_read_has_failed_for_that_reason(tmp_path, content,
     if content is not None:
         (tmp_path / "metrics.json").write_text(content)
 
-    job = load_job(tmp_path)
+    job = load_run(tmp_path)
 
     assert job.status == "failed"
     assert job.reason.startswith(reason)
@@ -88,7 +86,7 @@ def test_a_job_that_cannot_be_read_has_failed_for_that_reason(tmp_path, content,
 def test_bytes_that_are_no_text_are_a_reason_too(tmp_path):
     (tmp_path / "metrics.json").write_bytes(b"\xff\xfe\x00")
 
-    assert load_job(tmp_path).reason.startswith("metrics.json is damaged: 'utf-8' codec")
+    assert load_run(tmp_path).reason.startswith("metrics.json is damaged: 'utf-8' codec")
 
 
 def test_a_run_of_an_earlier_version_is_called_after_its_capture(tmp_path):
@@ -96,15 +94,15 @@ def test_a_run_of_an_earlier_version_is_called_after_its_capture(tmp_path):
         json.dumps({"status": "complete", "model": "none", "capture": "data/mybay", **KNOWN})
     )
 
-    job = load_job(tmp_path)
+    job = load_run(tmp_path)
 
-    assert (job.scene, job.model, dict(job.settings)) == ("mybay", "none", {})
+    assert (job.scene, job.model, dict(job.overrides)) == ("mybay", "none", {})
 
 
 def test_a_failed_job_on_photographs_is_called_after_their_folder(write_job):
     folder = write_job({"scene": "capture", "scene.path": "data/mybay"}, "failed")
 
-    assert load_job(folder).scene == "mybay"
+    assert load_run(folder).scene == "mybay"
 
 
 def test_only_what_differs_was_varied_and_an_index_ratio_goes_along_the_axis(make_job):
@@ -197,7 +195,7 @@ def test_the_table_has_what_varied_and_the_errors(make_job):
 def test_a_table_of_scenes_in_several_units_names_them_beside_the_numbers(make_job):
     in_metres = make_job({"scene": "riverbed"})
     metrics = {name.replace("_cm", "_m"): value for name, value in in_metres.metrics.items()}
-    jobs = [make_job({"scene": "tank"}), Job(in_metres.folder, "complete", "", "riverbed", "none", {}, metrics)]
+    jobs = [make_job({"scene": "tank"}), RunRecord.of(in_metres.folder, metrics)]
 
     header, _, first, second = rows_of(results_table(jobs, what_varied(jobs)))
 
@@ -285,7 +283,7 @@ def test_seeds_share_a_spot_and_a_failed_job_leaves_a_gap(make_job):
 
 def test_without_truth_the_rows_are_what_can_be_told(make_job):
     job = make_job({})
-    without = Job(job.folder, "complete", "", "bay", "none", {}, KNOWN)
+    without = RunRecord.of(job.folder, KNOWN | {"status": "complete"})
 
     assert [measure.title for measure in measures_of([job])] == ["camera RMS", "3D error, median", "flatness, RMS"]
     assert [measure.title for measure in measures_of([without])] == ["error (px), median", "registered (%)", "points"]
@@ -383,10 +381,10 @@ def test_figures_of_reconstructions_are_named_by_scene_and_values_and_show_one_s
     named = shown_together(jobs, what_varied(jobs))
 
     assert sorted(named) == ["_cans_a-b.png", "_cans_sea.png", "_tank_a-b.png", "_tank_sea.png"]
-    assert all([job.settings["seed"] for job in jobs] == ["0", "0"] for jobs in named.values())
+    assert all([job.overrides["seed"] for job in jobs] == ["0", "0"] for jobs in named.values())
 
 
 def test_jobs_are_kept_in_the_order_of_the_runs(write_job):
     runs = [write_job({"seed": str(i)}) for i in range(3)]
 
-    assert [job.folder for job in load_jobs(runs[::-1])] == runs[::-1]
+    assert [job.folder for job in load_runs(runs[::-1])] == runs[::-1]

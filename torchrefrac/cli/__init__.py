@@ -11,6 +11,7 @@ from torchrefrac.cli.commands import adjust, densify, reconstruct
 from torchrefrac.cli.composed import CONF, adjust_options, densify_options, run_options
 from torchrefrac.cli.failures import failed, tell
 from torchrefrac.cli.sweeps import CompareRuns
+from torchrefrac.sweeps.folder import SweepError
 
 INTERRUPTED = 130
 OTHERS: dict[str, Callable[[], None]] = {"adjust": adjust, "densify": densify}
@@ -31,7 +32,7 @@ def main() -> None:
     except KeyboardInterrupt:
         print("interrupted; the files of the finished stages are in the run folder", file=sys.stderr)
         sys.exit(INTERRUPTED)
-    except (*COMPOSITION_ERRORS, OSError) as error:
+    except (*COMPOSITION_ERRORS, SweepError, OSError) as error:
         tell(error)
     if failed:
         sys.exit(1)

@@ -13,21 +13,21 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from hydra_plugins.torchrefrac_sweeper.jobs import METRICS, spread
 from torchrefrac.cli.arguments import typed
 from torchrefrac.cli.composed import CONF, adjust_options, densify_options, run_options
 from torchrefrac.cli.failures import EXPECTED, keep_failure, tell
 from torchrefrac.commands.adjust import readjust_run, require_apart
 from torchrefrac.commands.densify import SparseRun, densify_run, open_run
 from torchrefrac.commands.reconstruct import run
-from torchrefrac.commands.run_folder import write_metrics
 from torchrefrac.config import AdjustOptions, DensifyOptions, RunOptions, scene_folder
 from torchrefrac.files.capture import load_capture
+from torchrefrac.files.run import METRICS, RunRecord
 from torchrefrac.html import write_report
 from torchrefrac.record.recorders import RunRecorders, run_recorders
 from torchrefrac.record.summary import adjustment_lines, dense_lines, reconstruction_lines, summary
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture
+from torchrefrac.sweeps.jobs import by_name
 
 ONE_BY_ONE = "hydra._internal.core_plugins.basic_launcher.BasicLauncher"
 
@@ -60,7 +60,7 @@ def is_watched(settings: Any) -> bool:
 def reconstruct_into(folder: Path, options: RunOptions, settings: Any) -> None:
     """One run, told on the terminal where it is watched."""
     quiet = options.output.quiet or not is_watched(settings)
-    overrides = spread(settings.overrides.task)
+    overrides = by_name(settings.overrides.task)
     with _recorders(folder, quiet) as recorder:
         capture = open_capture(options, recorder)
         model = options.reconstruction.model.name
@@ -92,7 +92,8 @@ def adjust(config: DictConfig) -> None:
     try:
         options = adjust_options(config)
     except EXPECTED as error:
-        write_metrics({"status": "failed", "stages": [], "command": "adjust", "reason": tell(error)}, folder)
+        failure = {"status": "failed", "stages": [], "command": "adjust", "reason": tell(error)}
+        RunRecord.of(folder, failure).write()
     else:
         with _may_fail(folder):
             _adjust(options, config, folder)

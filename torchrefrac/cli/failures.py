@@ -8,13 +8,15 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
 from hydra_plugins.torchrefrac_sweeper.messages import one_sentence
-from hydra_plugins.torchrefrac_sweeper.records import append_traceback, has_ended, write_failure
 from torchrefrac.bundle import UnadjustableError
 from torchrefrac.commands.reconstruct import ReconstructionError
 from torchrefrac.config import OptionError
 from torchrefrac.dense import DenseError
+from torchrefrac.files.run import METRICS, RunRecordError
 from torchrefrac.scene import AlignmentError, CaptureError, SurveyError
 from torchrefrac.sfm import NoInitialPairError
+from torchrefrac.sweeps.failures import append_traceback, write_failure
+from torchrefrac.sweeps.folder import SweepError
 
 EXPECTED = (
     AlignmentError,
@@ -25,7 +27,9 @@ EXPECTED = (
     OptionError,
     OSError,
     ReconstructionError,
+    RunRecordError,
     SurveyError,
+    SweepError,
     UnadjustableError,
 )
 """Errors whose message is for the user; all others are bugs, and come with a traceback."""
@@ -50,7 +54,7 @@ def keep_failure(error: Exception, config: DictConfig, overrides: list[str], fol
         if not isinstance(error, EXPECTED):
             append_traceback(error, folder)
             reason += f"; {os.path.relpath(folder / 'run.log')} says where"
-        if not has_ended(folder):
+        if not (folder / METRICS).is_file():
             write_failure(folder, reason, str(config.model.name), _scene(config), overrides)
     except OSError as other:
         print(f"error: {one_sentence(other, folder)}", file=sys.stderr)

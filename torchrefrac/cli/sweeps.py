@@ -5,22 +5,23 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import cv2
+import torch
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from hydra_plugins.torchrefrac_sweeper.ends import jobs_and_ends, resume_lines, unrecorded_lines
-from hydra_plugins.torchrefrac_sweeper.jobs import ending, find_job, opening, outcome
-from hydra_plugins.torchrefrac_sweeper.records import share_processors
 from torchrefrac.cli.arguments import typed
 from torchrefrac.cli.commands import is_watched
 from torchrefrac.cli.failures import failed, keep_failure, tell
 from torchrefrac.html import write_job_reports, write_sweep_report
 from torchrefrac.record.terminal import TerminalRecorder
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.sweeps import write_summary
 from torchrefrac.sweeps.comparison import compare
+from torchrefrac.sweeps.ends import resume_lines, unrecorded_lines
+from torchrefrac.sweeps.jobs import ending, find_job, jobs_and_records, opening, record_of
+from torchrefrac.sweeps.summary import write_summary
 
 
 class CompareRuns(Callback):
@@ -35,7 +36,7 @@ class CompareRuns(Callback):
             return
         place = find_job(Path(config.hydra.runtime.output_dir))
         if not is_watched(config.hydra):
-            share_processors()
+            _share_processors()
         elif place is not None and not config.quiet:
             print(f"\n{opening(*place)}", file=sys.stderr)
 
@@ -51,17 +52,17 @@ class CompareRuns(Callback):
                 print(f"error: {reason}", file=sys.stderr)
         place = find_job(folder)
         if place is not None and not is_watched(config.hydra) and not config.quiet:
-            print(ending(*place, outcome(place[2], folder.parent)), flush=True)
+            print(ending(*place, record_of(place[2], folder.parent)), flush=True)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Tell what failed, write and print the comparison, and say how to go on."""
         folder = Path(config.hydra.sweep.dir)
-        jobs, ends = jobs_and_ends(folder)
-        rest = sum(end.status != "complete" for end in ends)
+        jobs, records = jobs_and_records(folder)
+        rest = sum(not record.is_complete for record in records)
         if rest:
             failed.append(f"{rest} of {len(jobs)} jobs are not complete")
-        runs = [folder / job.folder for job, end in zip(jobs, ends, strict=True) if end.metrics is not None]
-        told = ["\n".join(unrecorded_lines(jobs, ends))]
+        runs = [record.folder for record in records if record.metrics]
+        told = ["\n".join(unrecorded_lines(jobs, records))]
         if runs:
             try:
                 told += _write(folder, runs, config)
@@ -83,3 +84,11 @@ def _write(folder: Path, runs: list[Path], config: DictConfig) -> list[str]:
         write_sweep_report(folder, runs)
     shown = (table or said.table) if said.table else ""  # without a complete job there is nothing to compare
     return [said.failed, shown, f"the tables and figures are in {os.path.relpath(folder)}"]
+
+
+def _share_processors() -> None:
+    """Take no more threads than the job was given in OMP_NUM_THREADS, also in what does not read it."""
+    given = os.environ.get("OMP_NUM_THREADS", "")
+    if given.isdigit() and int(given) > 0:
+        torch.set_num_threads(int(given))
+    cv2.setNumThreads(torch.get_num_threads())

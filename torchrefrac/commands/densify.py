@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchrefrac.commands.dense_outputs import remove_if_empty, write_dense_outputs
-from torchrefrac.commands.run_folder import DENSE, RunFolder, read_metrics
+from torchrefrac.commands.run_folder import DENSE, RunFolder, read_record
 from torchrefrac.config import DensifyOptions, OptionError
 from torchrefrac.config.outputs import DenseOutputs
 from torchrefrac.dense import DenseError, DenseOptions, FolderStore, densify
@@ -192,17 +192,17 @@ def _sparse_model(folder: Path) -> Reconstruction:
 def _capture_folder(folder: Path, given: str | None) -> Path:
     if given is not None:
         return Path(given)
-    known = read_metrics(folder).get("capture")
-    if not isinstance(known, str):
+    known = read_record(folder).capture
+    if known is None:
         raise OptionError(
             f"capture is missing, and {folder / 'metrics.json'} does not say where the photographs are; give the "
             "folder that holds capture.json and images/ as capture=DIR"
         )
-    if not Path(known).is_dir():
+    if not known.is_dir():
         raise CaptureError(
             f"the photographs of {folder} were in {known}, which is no longer there; say where they are as capture=DIR"
         )
-    return Path(known)
+    return known
 
 
 def _require_same_size(capture: Capture, sparse: Reconstruction, folder: Path) -> None:

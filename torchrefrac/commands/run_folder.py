@@ -1,6 +1,5 @@
 """The folder that a run leaves behind: results of every finished stage, and metrics.json that says how far it got."""
 
-import json
 import math
 import time
 from collections.abc import Iterator, Sequence
@@ -15,7 +14,7 @@ from torchrefrac.commands.dense_outputs import remove_dense_outputs
 from torchrefrac.features import Features
 from torchrefrac.figures.side_views import draw_side_views, side_view
 from torchrefrac.files.cameras import write_cameras, write_points
-from torchrefrac.files.fields import alignment_errors, read_object
+from torchrefrac.files.run import METRICS, RunRecord
 from torchrefrac.files.tracks import write_tracks
 from torchrefrac.geometry import Similarity
 from torchrefrac.record.memory import forget_peak_memory, peak_memory_gib
@@ -24,7 +23,7 @@ from torchrefrac.sfm import VerifiedPair
 
 RESULTS = (
     "features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png", "report.html",
-    "metrics.json",
+    METRICS,
 )  # fmt: skip
 DENSE, DENSE_METRICS = "dense", ("dense_", "seconds_dense")  # the stage, and how the names of its metrics begin
 
@@ -54,9 +53,10 @@ class RunFolder:
     @contextmanager
     def recording_dense(self) -> Iterator[None]:
         """The same for a dense stage alone: the results and metrics of all others stay, as metrics.json has them."""
-        found = read_metrics(self.folder)
-        kept = {name: value for name, value in found.items() if not name.startswith(DENSE_METRICS) and name != "reason"}
-        self.metrics = kept | {"status": "running", "stages": [name for name in kept["stages"] if name != DENSE]}
+        found = read_record(self.folder)
+        about = found.metrics.items()
+        kept = {name: value for name, value in about if not name.startswith(DENSE_METRICS) and name != "reason"}
+        self.metrics = kept | {"status": "running", "stages": [name for name in found.stages if name != DENSE]}
         self.save_metrics()
         (self.folder / "report.html").unlink(missing_ok=True)  # which tells of what was
         remove_dense_outputs(self.folder)
@@ -65,7 +65,7 @@ class RunFolder:
 
     def save_metrics(self) -> None:
         """Write metrics.json as it is now, for long stages that may come to a sudden end."""
-        write_metrics(self.metrics, self.folder)
+        RunRecord.of(self.folder, self.metrics).write()
 
     def stage_done(self, name: str, product: Any, seconds: float) -> None:
         """Write what a stage made."""
@@ -129,25 +129,12 @@ def describe_gravity(capture: Capture) -> dict[str, Any]:
     return {"gravity": "measured", "gravity_sigma_deg": round(math.degrees(capture.down_sigma), 3)}
 
 
-def read_metrics(folder: Path) -> dict[str, Any]:
-    """Read `folder`/metrics.json; without one nothing is known, and no stage complete.
+def read_record(folder: Path) -> RunRecord:
+    """The record of a run; without a metrics.json nothing is known, and no stage complete.
 
-    Raises AlignmentError where it is damaged.
+    Raises RunRecordError where it is damaged.
     """
-    path = folder / "metrics.json"
-    if not path.is_file():
-        return {"stages": []}
-    with alignment_errors():
-        content, top = read_object(path)
-        if not isinstance(content.get("stages"), list):
-            raise top.fail("stages", f"is {content.get('stages')!r}, but must be a list of stages")
-    return content
-
-
-def write_metrics(metrics: dict[str, Any], folder: Path) -> None:
-    """Write `folder`/metrics.json."""
-    with replacing(folder / "metrics.json") as temporary:
-        temporary.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
+    return RunRecord.read(folder) if (folder / METRICS).is_file() else RunRecord(folder)
 
 
 def _write_features(features: Sequence[Features], path: Path) -> None:

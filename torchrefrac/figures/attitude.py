@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchrefrac.figures.plotting import ESTIMATE, MEASURED, TRUE, legend_above, number_images, panels, rounded
@@ -15,23 +16,25 @@ from torchrefrac.scene import Capture, Reconstruction, Truth
 
 @dataclass(frozen=True)
 class Angle:
-    """One angle of k images in degrees: estimated, and where they are known measured and true (NaN: of that image not).
+    """One angle of k images in degrees: estimated, and where they are known measured and true (NaN: not of that image).
 
     The differences wrap at half a turn.
     """
 
     name: str
-    estimated: Tensor
-    measured: Tensor | None
-    true: Tensor | None
+    estimated: Float[Tensor, " k"]
+    measured: Float[Tensor, " k"] | None
+    true: Float[Tensor, " k"] | None
 
-    def error(self, reference: Tensor | None) -> Tensor | None:
+    def error(self, reference: Float[Tensor, " k"] | None) -> Float[Tensor, " k"] | None:
         """Estimated minus `reference`."""
         return None if reference is None else wrapped(self.estimated - reference)
 
 
-def attitudes(scene: Reconstruction, capture: Capture | None, truth: Truth | None) -> tuple[Tensor, list[Angle]]:
-    """Numbers (k) of the registered images, and their roll, pitch and heading.
+def attitudes(
+    scene: Reconstruction, capture: Capture | None, truth: Truth | None
+) -> tuple[Int[Tensor, " k"], list[Angle]]:
+    """Numbers of the registered images, and their roll, pitch and heading.
 
     Roll and pitch say by how much the right and the lower side of the image dip below the horizontal, so both are 0 of
     a camera that looks straight down. The reconstruction's heading is free: what is measured and true is turned by the
@@ -59,7 +62,7 @@ def attitudes(scene: Reconstruction, capture: Capture | None, truth: Truth | Non
     return images, angles
 
 
-def attitude_figure(images: Tensor, angles: Sequence[Angle], count: int) -> Any:
+def attitude_figure(images: Int[Tensor, " k"], angles: Sequence[Angle], count: int) -> Any:
     """A row an angle: on the left what it is, on the right by how much estimated and known differ."""
     from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
 
@@ -101,25 +104,25 @@ def attitude_words(angles: Sequence[Angle]) -> str:
     return f"RMS differences {'; '.join(told)}." if told else ""
 
 
-def wrapped(degrees: Tensor) -> Tensor:
+def wrapped(degrees: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
     """The same angles between -180 and 180 degrees."""
     return torch.remainder(degrees + 180.0, 360.0) - 180.0
 
 
-def _shortest(turns: Tensor) -> Tensor:
+def _shortest(turns: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
     return wrapped(turns.rad2deg()).deg2rad()
 
 
-def _rms(values: Tensor) -> float:
+def _rms(values: Float[Tensor, " n"]) -> float:
     return math.sqrt(float(values[values.isfinite()].square().mean()))
 
 
-def _dip(down: Tensor, axis: int) -> Tensor:
+def _dip(down: Float[Tensor, "k 3"], axis: int) -> Float[Tensor, " k"]:
     return down[:, axis].clamp(-1.0, 1.0).asin().rad2deg()
 
 
-def _true_rotations(scene: Reconstruction, truth: Truth, images: Tensor) -> Tensor:
-    """cam_from_world (k, 3, 3); NaN where the truth does not have the image."""
+def _true_rotations(scene: Reconstruction, truth: Truth, images: Int[Tensor, " k"]) -> Float[Tensor, "k 3 3"]:
+    """cam_from_world; NaN where the truth does not have the image."""
     rotation = torch.full((len(images), 3, 3), torch.nan, dtype=torch.float64)
     for row, i in enumerate(images.tolist()):
         if scene.names[i] in truth.names:
@@ -127,7 +130,7 @@ def _true_rotations(scene: Reconstruction, truth: Truth, images: Tensor) -> Tens
     return rotation
 
 
-def _turned_to(estimated: Tensor, reference: Tensor | None) -> Tensor | None:
+def _turned_to(estimated: Float[Tensor, " k"], reference: Float[Tensor, " k"] | None) -> Float[Tensor, " k"] | None:
     """The reference turned by the mean difference, on the branch next to the estimated heading."""
     if reference is None:
         return None

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.figures.panels import OUTLINE, blank_figure, color_bar, outlines
@@ -56,7 +57,7 @@ def cameras_figure(shown: Reconstruction, truth: Truth | None) -> Any:
     return figure
 
 
-def _draw(panel: Any, shown: Reconstruction, truth: Truth | None, frame: Tensor, colored: Any) -> None:
+def _draw(panel: Any, shown: Reconstruction, truth: Truth | None, frame: Float[Tensor, "3 3"], colored: Any) -> None:
     from matplotlib.collections import LineCollection  # noqa: PLC0415
 
     seen = shown.points @ frame.mT
@@ -82,13 +83,13 @@ def _draw(panel: Any, shown: Reconstruction, truth: Truth | None, frame: Tensor,
         panel.annotate(str(numbers[i]), at, (6, 6), textcoords="offset points", fontsize=9, color=INK, zorder=6)
 
 
-def pyramids(shown: Reconstruction) -> Tensor:
-    """Lines (4 k, 4, 3) of the k registered cameras: from the centre to two neighbouring corners of the image and back,
+def pyramids(shown: Reconstruction) -> Float[Tensor, "lines 4 3"]:
+    """Four lines for each of the registered cameras: from the centre to two neighbouring corners of the image and back,
     so long that neighbouring cameras just do not touch."""
-    lens, centers = shown.intrinsics, shown.center[shown.registered]
-    width, height = float(lens.width), float(lens.height)
+    intrinsics, centers = shown.intrinsics, shown.center[shown.registered]
+    width, height = float(intrinsics.width), float(intrinsics.height)
     corners = centers.new_tensor(((0.0, 0.0), (width, 0.0), (width, height), (0.0, height)))
-    plane = lens.plane_from_pixels(corners)
+    plane = intrinsics.plane_from_pixels(corners)
     rays = torch.cat((plane, torch.ones_like(plane[:, :1])), dim=-1)
     apart = torch.cdist(centers, centers) + torch.diag(centers.new_full((len(centers),), torch.inf))
     extent = float((centers.amax(dim=0) - centers.amin(dim=0)).max())
@@ -99,7 +100,7 @@ def pyramids(shown: Reconstruction) -> Tensor:
     return torch.stack((apex, ends, ends.roll(-1, dims=1), apex), dim=2).flatten(0, 1)
 
 
-def _oblique() -> Tensor:
+def _oblique() -> Float[Tensor, "3 3"]:
     turn, rise = math.radians(TURN_DEG), math.radians(RISE_DEG)
     right = torch.tensor((math.cos(turn), math.sin(turn), 0.0), dtype=torch.float64)
     level = torch.tensor((math.sin(turn), -math.cos(turn), 0.0), dtype=torch.float64)
@@ -110,7 +111,7 @@ def _oblique() -> Tensor:
 
 
 def _limits(
-    shown: Reconstruction, truth: Truth | None, frame: Tensor
+    shown: Reconstruction, truth: Truth | None, frame: Float[Tensor, "3 3"]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Of cameras, true planes, and all but stray points."""
     parts = [pyramids(shown).flatten(0, 1) @ frame.mT, outlines(truth).flatten(0, 1) @ frame.mT]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
@@ -29,12 +30,12 @@ TURN_DEG, RISE_DEG = 30.0, 28.0  # from where an oblique view looks: turned from
 
 @dataclass(frozen=True)
 class ErrorPanel:
-    """One panel: points (n, 3) in the truth's frame, with their signed distances (n) to the true planes."""
+    """One panel: points in the truth's frame, with their signed distances to the true planes."""
 
     title: str
     caption: str
-    points: Tensor
-    error: Tensor
+    points: Float[Tensor, "n 3"]
+    error: Float[Tensor, " n"]
     length_unit: str
 
 
@@ -147,13 +148,13 @@ def _caption(count: int, metrics: Mapping[str, Any], unit: str) -> str:
     return "\n".join(lines)
 
 
-def _from_side(truth: Truth | None) -> Tensor:
-    """Frame (3, 3) that looks along the horizontal direction in which the true planes are thinnest."""
+def _from_side(truth: Truth | None) -> Float[Tensor, "3 3"]:
+    """Frame that looks along the horizontal direction in which the true planes are thinnest."""
     x, y = side_direction(truth).tolist()
     return torch.tensor(((x, y, 0.0), (0.0, 0.0, 1.0), (y, -x, 0.0)), dtype=torch.float64)
 
 
-def _turned(side: Tensor) -> Tensor:
+def _turned(side: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
     """The frame of an oblique view: that from the side, turned about the vertical and raised."""
     turn, rise = math.radians(TURN_DEG), math.radians(RISE_DEG)
     right = math.cos(turn) * side[0] + math.sin(turn) * side[2]
@@ -163,12 +164,12 @@ def _turned(side: Tensor) -> Tensor:
     )
 
 
-def _thin(rows: Tensor) -> Tensor:
+def _thin(rows: Float[Tensor, "n *row"]) -> Float[Tensor, "m *row"]:
     """Every k-th row, MOST at most."""
     return rows[:: max(1, -(-len(rows) // MOST))]
 
 
-def _range(values: Tensor, share: float) -> tuple[float, float]:
+def _range(values: Float[Tensor, " n"], share: float) -> tuple[float, float]:
     """The ends of the middle `share` of the values; never equal."""
     if not len(values):
         return 0.0, 1.0
@@ -176,7 +177,7 @@ def _range(values: Tensor, share: float) -> tuple[float, float]:
     return float(low), float(max(high, low + 1e-6 * max(abs(low), 1.0)))
 
 
-def _robust_limit(errors: Sequence[Tensor]) -> float:
+def _robust_limit(errors: Sequence[Float[Tensor, "_"]]) -> float:
     """Of the panel with the smallest errors."""
     spreads = [MAD_TO_SIGMA * float(values.abs().median()) for values in errors if len(values)]
     return rounded_up(INLIER_SIGMAS * min(spreads, default=0.0))

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from torchrefrac.features import Features
@@ -56,9 +57,14 @@ def record_residuals(capture: Capture, reconstruction: Reconstruction, recorder:
         recorder.picture(f"residuals/{Path(capture.names[i]).with_suffix('')}", torch.from_numpy(picture), 0)
 
 
-def match_picture(first: np.ndarray, second: np.ndarray, one: Tensor, two: Tensor) -> np.ndarray:
-    """Two photographs (h, w, 3) BGR side by side, with pixels one and two (k, 2) joined by lines, of at most about
-    a hundred matches; (H, WIDTH, 3) uint8 RGB."""
+def match_picture(
+    first: UInt8[np.ndarray, "h1 w1 3"],
+    second: UInt8[np.ndarray, "h2 w2 3"],
+    one: Float[Tensor, "k 2"],
+    two: Float[Tensor, "k 2"],
+) -> UInt8[np.ndarray, "height width 3"]:
+    """Two photographs, BGR, side by side, with their pixels `one` and `two` joined by lines, of at most about a hundred
+    matches; RGB, WIDTH wide."""
     left, right = _narrow(first, WIDTH // 2), _narrow(second, WIDTH // 2)
     height = max(len(left), len(right))
     picture = np.zeros((height, WIDTH, 3), dtype=np.uint8)
@@ -71,9 +77,14 @@ def match_picture(first: np.ndarray, second: np.ndarray, one: Tensor, two: Tenso
     return picture
 
 
-def residual_picture(photograph: np.ndarray, pixels: Tensor, residuals: Tensor, factor: float) -> np.ndarray:
-    """A photograph (h, w, 3) BGR, darkened, with residuals (k, 2) at pixels (k, 2), both of the photograph, as lines
-    `factor` times as long; (H, WIDTH, 3) uint8 RGB."""
+def residual_picture(
+    photograph: UInt8[np.ndarray, "h w 3"],
+    pixels: Float[Tensor, "k 2"],
+    residuals: Float[Tensor, "k 2"],
+    factor: float,
+) -> UInt8[np.ndarray, "height width 3"]:
+    """A photograph, BGR, darkened, with residuals at pixels, both of the photograph, as lines `factor` times as long;
+    RGB, WIDTH wide."""
     picture = _narrow(photograph, WIDTH) // 2
     scale = WIDTH / photograph.shape[1]
     start = pixels * scale
@@ -81,16 +92,16 @@ def residual_picture(photograph: np.ndarray, pixels: Tensor, residuals: Tensor, 
     return picture
 
 
-def exaggeration(residuals: Tensor, width: int) -> int:
-    """The round factor at which a median residual (N, 2) of an image of this width is about READABLE pixels long."""
+def exaggeration(residuals: Float[Tensor, "n 2"], width: int) -> int:
+    """The round factor at which a median residual of an image of this width is about READABLE pixels long."""
     if not len(residuals):
         return 1
     wanted = READABLE / max(float(residuals.norm(dim=-1).median()) * WIDTH / width, 1e-9)
     return min(FACTORS, key=lambda factor: abs(np.log(factor / wanted)))
 
 
-def spread(items: Tensor, most: int) -> Tensor:
-    """At most `most` of the items (n), evenly spread over them."""
+def spread(items: Int[Tensor, " n"], most: int) -> Int[Tensor, " m"]:
+    """At most `most` of the items, evenly spread over them."""
     if len(items) <= most:
         return items
     return items[torch.linspace(0.0, len(items) - 1.0, most).round().long()]
@@ -108,29 +119,34 @@ def _best(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
     return (best + rest)[:MOST_PAIRS]
 
 
-def _residuals(reconstruction: Reconstruction) -> tuple[Tensor, Tensor]:
-    """Which observations can be projected, and by how much the projection misses them (k, 2)."""
+def _residuals(reconstruction: Reconstruction) -> tuple[Int[Tensor, " k"], Float[Tensor, "k 2"]]:
+    """Which observations can be projected, and by how much the projection misses them."""
     projected, valid = reconstruction.cameras[reconstruction.image].project(reconstruction.points[reconstruction.point])
     rows = valid.nonzero()[:, 0]
     return rows, projected[rows] - reconstruction.pixels[rows]
 
 
-def _narrow(photograph: np.ndarray, width: int) -> np.ndarray:
-    """(h, width, 3) RGB of the photograph, BGR."""
+def _narrow(photograph: UInt8[np.ndarray, "h w 3"], width: int) -> UInt8[np.ndarray, "height {width} 3"]:
+    """RGB of the photograph, BGR, `width` wide."""
     height = round(photograph.shape[0] * width / photograph.shape[1])
     method = cv2.INTER_AREA if width < photograph.shape[1] else cv2.INTER_LINEAR
     return cv2.cvtColor(cv2.resize(photograph, (width, height), interpolation=method), cv2.COLOR_BGR2RGB)
 
 
-def _lines(picture: np.ndarray, start: Tensor, end: Tensor, color: tuple[int, int, int]) -> None:
-    """Lines from start to end (k, 2), with a dot at each start; pixel centres of the picture are at halves."""
+def _lines(
+    picture: UInt8[np.ndarray, "h w 3"],
+    start: Float[Tensor, "k 2"],
+    end: Float[Tensor, "k 2"],
+    color: tuple[int, int, int],
+) -> None:
+    """Lines from start to end, with a dot at each start; pixel centres of the picture are at halves."""
     both = ((torch.stack((start, end), dim=1) - 0.5).clamp(-1e5, 1e5)).round().int().numpy()
     cv2.polylines(picture, list(both), False, color, 1, cv2.LINE_AA)
     for x, y in both[:, 0].tolist():
         cv2.circle(picture, (x, y), 1, color, -1)
 
 
-def _write(picture: np.ndarray, text: str) -> None:
+def _write(picture: UInt8[np.ndarray, "h w 3"], text: str) -> None:
     """A line of text in a dark strip at the top."""
     picture[:STRIP] //= 4
     cv2.putText(picture, text, (10, STRIP - 9), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)

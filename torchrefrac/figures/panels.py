@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
@@ -18,13 +19,13 @@ SLIMMEST = 0.2  # a panel, its shorter side over its longer one
 
 
 class Column(NamedTuple):
-    """What both rows of a figure show of one reconstruction; values (n) give the points (n, 3) their colour."""
+    """What both rows of a figure show of one reconstruction; values give the points their colour."""
 
     title: str
     caption: str
-    points: Tensor
-    values: Tensor
-    centers: Tensor
+    points: Float[Tensor, "n 3"]
+    values: Float[Tensor, " n"]
+    centers: Float[Tensor, "m 3"]
     has_water: bool
     unit: str
 
@@ -32,11 +33,11 @@ class Column(NamedTuple):
 class Row(NamedTuple):
     """How one row of a figure looks at the scene.
 
-    frame (3, 3): rows right, up and towards the viewer; labels: of the axes, without them a bar shows the scale;
+    frame: rows right, up and towards the viewer; labels: of the axes, without them a bar shows the scale;
     has_cameras: whether cameras and water are drawn; paper: colour behind the points.
     """
 
-    frame: Tensor
+    frame: Float[Tensor, "3 3"]
     labels: tuple[str, str] | None
     has_cameras: bool
     paper: str
@@ -171,8 +172,8 @@ def _limits(
     return (ends[0][0], ends[0][1]), (ends[1][0], ends[1][1])
 
 
-def outlines(truth: Truth | None) -> Tensor:
-    """Closed outlines (k, 5, 3) of the true planes."""
+def outlines(truth: Truth | None) -> Float[Tensor, "k 5 3"]:
+    """Closed outlines of the true planes."""
     if truth is None or not len(truth.corner):
         return torch.zeros(0, 5, 3, dtype=torch.float64)
     return corners_of(truth)[:, (0, 1, 2, 3, 0)]

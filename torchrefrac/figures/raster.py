@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
@@ -71,8 +72,8 @@ def draw_raster(raster: Raster, path: Path) -> None:
         figure.savefig(temporary, bbox_inches="tight", pad_inches=0.1)
 
 
-def _range(depth: Tensor) -> tuple[float, float, str]:
-    """The depths (n) that the colours span, and at which ends there are others."""
+def _range(depth: Float[Tensor, " n"]) -> tuple[float, float, str]:
+    """The depths that the colours span, and at which ends there are others."""
     if not len(depth):
         return 0.0, 1.0, "neither"
     ordered = depth.sort().values
@@ -83,8 +84,10 @@ def _range(depth: Tensor) -> tuple[float, float, str]:
     return low - margin, high + margin, extend
 
 
-def _light(depth: Tensor, valid: Tensor, size: float) -> Tensor:
-    """(rows, columns): at most 1; how bright the surface is in light from the north-west (Lambert's cosine law)."""
+def _light(
+    depth: Float[Tensor, "rows columns"], valid: Bool[Tensor, "rows columns"], size: float
+) -> Float[Tensor, "rows columns"]:
+    """At most 1; how bright the surface is in light from the north-west (Lambert's cosine law)."""
     east, south = (_slope(depth, valid, size, axis) for axis in (1, 0))
     azimuth, altitude = math.radians(SUN_AZIMUTH_DEG), math.radians(SUN_ALTITUDE_DEG)
     sun = (math.sin(azimuth) * math.cos(altitude), math.cos(azimuth) * math.cos(altitude), math.sin(altitude))
@@ -93,7 +96,9 @@ def _light(depth: Tensor, valid: Tensor, size: float) -> Tensor:
     return 1.0 - SHADE * (1.0 - cosine.clamp(min=0.0) / sun[2]).clamp(0.0, 1.0)
 
 
-def _slope(depth: Tensor, valid: Tensor, size: float, axis: int) -> Tensor:
+def _slope(
+    depth: Float[Tensor, "rows columns"], valid: Bool[Tensor, "rows columns"], size: float, axis: int
+) -> Float[Tensor, "rows columns"]:
     """Change of depth per length along an axis, central where both neighbours are valid, else zero."""
     slope = torch.zeros_like(depth)
     inner = depth.shape[axis] - 2

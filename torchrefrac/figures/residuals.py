@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.figures.plotting import ESTIMATE, PALE, SECOND, legend_above, number_images, panels
@@ -16,11 +17,11 @@ NINETY = 0.9
 
 @dataclass(frozen=True)
 class Residuals:
-    """Of N observations: the image (N), reprojection error (N) in pixels, and angle of incidence (N) in degrees."""
+    """Of observations: the image, reprojection error in pixels, and angle of incidence in degrees."""
 
-    image: Tensor
-    error: Tensor
-    incidence: Tensor
+    image: Int[Tensor, " n"]
+    error: Float[Tensor, " n"]
+    incidence: Float[Tensor, " n"]
 
     @classmethod
     def of(cls, scene: Reconstruction) -> "Residuals":
@@ -38,7 +39,7 @@ class Residuals:
         return len(self.error)
 
 
-def by_image_figure(residuals: Residuals, registered: Tensor) -> Any:
+def by_image_figure(residuals: Residuals, registered: Bool[Tensor, " m"]) -> Any:
     """Median and 90 % bound of the reprojection error of each image."""
     from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
     from matplotlib.patches import Patch  # noqa: PLC0415
@@ -93,11 +94,11 @@ def by_incidence_figure(residuals: Residuals, has_water: bool) -> Any:
     return figure
 
 
-def _errors(residuals: Residuals, rows: dict[int, Tensor]) -> list[Tensor]:
+def _errors(residuals: Residuals, rows: dict[int, Int[Tensor, "_"]]) -> list[Float[Tensor, "_"]]:
     return [residuals.error[chosen] for chosen in rows.values()]
 
 
-def bins(angle: Tensor) -> tuple[float, float, dict[int, Tensor]]:
+def bins(angle: Float[Tensor, " n"]) -> tuple[float, float, dict[int, Int[Tensor, "_"]]]:
     """Width of the bins in degrees, where the first begins, and the observations in each that has enough of them."""
     low, high = (float(angle.quantile(tail)) for tail in (0.001, 0.999))
     step = next((step for step in STEPS_DEG if high - low <= BINS * step), STEPS_DEG[-1])

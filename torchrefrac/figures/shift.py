@@ -6,6 +6,7 @@ from typing import Any
 
 import cv2
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.figures.panels import EMPTY, blank_figure, color_bar
@@ -26,8 +27,8 @@ def shift_images(scene: Reconstruction) -> list[int]:
     return [int(images[i]) for i in chosen]
 
 
-def off_nadir(scene: Reconstruction) -> Tensor:
-    """Angle (m) in degrees between the optical axes and the vertical."""
+def off_nadir(scene: Reconstruction) -> Float[Tensor, " m"]:
+    """Angle in degrees between the optical axes and the vertical."""
     return (-scene.rotation[:, 2, 2]).clamp(-1.0, 1.0).acos().rad2deg()
 
 
@@ -38,11 +39,14 @@ def typical_depth(scene: Reconstruction) -> float:
     return float(below.median()) if len(below) else 0.0
 
 
-def shift_map(scene: Reconstruction, image: int, depth: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Pixels (h, w, 2) over an image, the shifts (h, w, 2) of what they see at `depth`, and whether there are any."""
-    camera, lens = scene.cameras[image], scene.intrinsics
-    columns = min(CELLS, lens.width)
-    pixels = lens.pixel_grid(max(2, round(columns * lens.height / lens.width)), columns).to(torch.float64)
+def shift_map(
+    scene: Reconstruction, image: int, depth: float
+) -> tuple[Float[Tensor, "h w 2"], Float[Tensor, "h w 2"], Bool[Tensor, "h w"]]:
+    """Pixels over an image, the shifts of what they see at `depth`, and whether there are any."""
+    camera, intrinsics = scene.cameras[image], scene.intrinsics
+    columns = min(CELLS, intrinsics.width)
+    rows = max(2, round(columns * intrinsics.height / intrinsics.width))
+    pixels = intrinsics.pixel_grid(rows, columns).to(torch.float64)
     origins, directions, met = camera.cast_rays(pixels)
     fall = torch.where(met, directions[..., 2], -1.0)
     points = origins + directions * ((-depth - origins[..., 2]) / fall)[..., None]
@@ -55,19 +59,20 @@ def shift_figure(scene: Reconstruction, images: Sequence[int], depth: float, pho
     from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - slow to import
     from matplotlib.colors import Normalize  # noqa: PLC0415
 
-    lens, maps = scene.intrinsics, [shift_map(scene, image, depth) for image in images]
+    width, height = scene.intrinsics.width, scene.intrinsics.height
+    maps = [shift_map(scene, image, depth) for image in images]
     sizes = [shift.norm(dim=-1).where(valid, torch.nan) for _, shift, valid in maps]
     every = torch.cat([size[size.isfinite()] for size in sizes])
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 1.0)
     colored = ScalarMappable(Normalize(low, max(high, low + 1e-6)), "viridis")
-    figure = blank_figure(WIDTH if len(images) > 1 else 6.8, 0.6 + 4.0 * lens.height / lens.width)
+    figure = blank_figure(WIDTH if len(images) > 1 else 6.8, 0.6 + 4.0 * height / width)
     grid = figure.subplots(1, len(images), squeeze=False)[0]
     for panel, image, (pixels, shift, valid), size in zip(grid, images, maps, sizes, strict=True):
-        panel.set(xlim=(0, lens.width), ylim=(lens.height, 0), aspect="equal", facecolor=EMPTY)
-        _photograph(panel, photographs[image] if photographs else None, lens.width, lens.height)
+        panel.set(xlim=(0, width), ylim=(height, 0), aspect="equal", facecolor=EMPTY)
+        _photograph(panel, photographs[image] if photographs else None, width, height)
         (x, y), moved, here = pixels.numpy().transpose(2, 0, 1), shift.numpy(), valid.numpy()
         panel.imshow(
-            size.numpy(), norm=colored.norm, cmap=colored.cmap, alpha=0.5, extent=(0, lens.width, lens.height, 0),
+            size.numpy(), norm=colored.norm, cmap=colored.cmap, alpha=0.5, extent=(0, width, height, 0),
             interpolation="bilinear", zorder=1,
         )  # fmt: skip
         lines = panel.contour(x, y, size.numpy(), levels=7, colors="white", linewidths=1.3, zorder=2)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
@@ -20,12 +21,12 @@ PANEL_INCHES = 4.4
 
 @dataclass(frozen=True)
 class SideView:
-    """One panel: points (n, 3) and camera centres (m, 3), aligned to truth where there is one."""
+    """One panel: points and camera centres, moved to those of the truth where there is one."""
 
     title: str
     caption: str
-    points: Tensor
-    centers: Tensor
+    points: Float[Tensor, "n 3"]
+    centers: Float[Tensor, "m 3"]
     length_unit: str
     has_water: bool
 
@@ -102,8 +103,8 @@ def side_views_figure(
     return figure
 
 
-def side_direction(truth: Truth | None) -> Tensor:
-    """Unit horizontal direction (2) that runs from left to right in the picture."""
+def side_direction(truth: Truth | None) -> Float[Tensor, " 2"]:
+    """Unit horizontal direction that runs from left to right in the picture."""
     if truth is None or not len(truth.corner):
         return torch.tensor((1.0, 0.0), dtype=torch.float64)
     normal = truth.normal[:, :2]
@@ -122,19 +123,19 @@ def _height_range(views: Sequence[SideView], truth: Truth | None) -> tuple[float
     return float(heights.quantile(0.01)), float(heights.quantile(0.99))
 
 
-def corners_of(truth: Truth) -> Tensor:
-    """(k, 4, 3)."""
+def corners_of(truth: Truth) -> Float[Tensor, "k 4 3"]:
+    """The corners of the true planes, all around each."""
     a, b, c = truth.corner, truth.edge1, truth.edge2
     return torch.stack((a, a + b, a + b + c, a + c), dim=1)
 
 
-def _draw_planes(panel: Any, truth: Truth, across: Tensor) -> None:
+def _draw_planes(panel: Any, truth: Truth, across: Float[Tensor, " 2"]) -> None:
     for corners in corners_of(truth):
         closed = torch.cat((corners, corners[:1]))
         panel.plot((closed[:, :2] @ across).numpy(), closed[:, 2].numpy(), "-", color=FAINT, lw=3.0, zorder=1)
 
 
-def _limits(views: Sequence[SideView], truth: Truth | None, across: Tensor) -> list[tuple[float, float]]:
+def _limits(views: Sequence[SideView], truth: Truth | None, across: Float[Tensor, " 2"]) -> list[tuple[float, float]]:
     """Horizontal and vertical range: cameras, true planes, and all but the most stray points of every panel."""
     shown = [view.centers for view in views] + ([corners_of(truth).flatten(0, 1)] if truth is not None else [])
     for view in views:

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchrefrac.figures.panels import blank_figure
@@ -14,9 +15,11 @@ SHARE = 0.1  # of the extent of the cameras that a typical ellipse takes
 STEPS = (1.0, 2.0, 5.0, 10.0)
 
 
-def ellipse_axes(covariance: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Long and short half axes (k) of the ellipses of (k, 2, 2), one standard deviation, and the long one's direction
-    (k) in degrees from x."""
+def ellipse_axes(
+    covariance: Float[Tensor, "k 2 2"],
+) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"], Float[Tensor, " k"]]:
+    """Long and short half axes of the ellipses of one standard deviation, and the long one's direction in degrees from
+    x."""
     values, vectors = torch.linalg.eigh(covariance)
     axes = values.clamp(min=0.0).sqrt()
     return axes[:, 1], axes[:, 0], torch.atan2(vectors[:, 1, 1], vectors[:, 0, 1]).rad2deg()
@@ -80,8 +83,8 @@ def uncertainty_figure(shown: Reconstruction, truth: Truth | None) -> tuple[Any,
     return figure, factor
 
 
-def true_errors(shown: Reconstruction, truth: Truth, images: Tensor) -> Tensor:
-    """From the true centre of each of `images` (k) to the reconstructed one (k, 3); NaN where the truth lacks it."""
+def true_errors(shown: Reconstruction, truth: Truth, images: Int[Tensor, " k"]) -> Float[Tensor, "k 3"]:
+    """From the true centre of each of `images` to the reconstructed one; NaN where the truth lacks it."""
     errors = torch.full((len(images), 3), torch.nan, dtype=torch.float64)
     for row, i in enumerate(images.tolist()):
         if shown.names[i] in truth.names:

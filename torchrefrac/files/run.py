@@ -1,7 +1,127 @@
-"""What the files in the folder of a run are called."""
+"""What the files in the folder of a run are called, and metrics.json, its record; imports nothing that is slow."""
 
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Self, TypeGuard
+
+from torchrefrac.atomic import replacing
+
+METRICS = "metrics.json"
 DENSE_CLOUD = "dense.ply"
 DENSE_VIEW, ERROR_MAP = "dense_view.png", "error_map.png"
 DENSE_RESULTS = (DENSE_CLOUD, "mesh.ply", "dsm.npz", "dsm.png", "dsm.tif", DENSE_VIEW, ERROR_MAP)
 DEPTH_MAPS = "dense"  # the folder of the depth maps
 PARTS = f"{DEPTH_MAPS}/parts"  # of what is finished while the stage is not
+UNIT_STEMS = ("camera_rms_", "camera_sigma_median_", "point_sigma_median_")  # metrics that end in the length unit
+
+
+class RunStatus(StrEnum):
+    """How far a run is; UNKNOWN where metrics.json is not there or does not say it."""
+
+    RUNNING = "running"
+    COMPLETE = "complete"
+    FAILED = "failed"
+    INTERRUPTED = "interrupted"
+    UNKNOWN = "unknown"
+
+
+class RunRecordError(ValueError):
+    """metrics.json is missing or damaged; the message names the file and says in one sentence what is wrong."""
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """What `folder`/metrics.json says of a run; empty where it says nothing.
+
+    stages: those that are complete. reason: why the run did not come to its end, on one line. command: "adjust", or
+    empty for a reconstruction. scene: its name, or that of the folder of the photographs. capture: that folder.
+    overrides: the options of the command line, by name. metrics: all that the file holds, these fields too.
+    """
+
+    folder: Path
+    status: RunStatus = RunStatus.UNKNOWN
+    stages: tuple[str, ...] = ()
+    reason: str = ""
+    command: str = ""
+    model: str = ""
+    scene: str = ""
+    capture: Path | None = None
+    overrides: Mapping[str, str] = field(default_factory=dict)
+    length_unit: str = ""
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, folder: Path, metrics: Mapping[str, Any]) -> Self:
+        """The record of a run in `folder` with these metrics. Raises RunRecordError where the stages are no list."""
+        status, stages, capture = (metrics.get(name) for name in ("status", "stages", "capture"))
+        if not isinstance(stages, list | None):
+            raise RunRecordError(f"{folder / METRICS} is damaged: stages is {stages!r}, but must be a list")
+        given = metrics.get("overrides")
+        overrides = {str(key): str(value) for key, value in given.items()} if isinstance(given, dict) else {}
+        return cls(
+            folder,
+            RunStatus(status) if status in list(RunStatus) else RunStatus.UNKNOWN,
+            tuple(map(str, stages or ())),
+            " ".join(str(metrics.get("reason") or "").split()),
+            str(metrics.get("command") or ""),
+            str(metrics.get("model") or overrides.get("model", "")),
+            _scene(metrics, overrides),
+            Path(capture) if isinstance(capture, str) else None,
+            overrides,
+            str(metrics.get("length_unit") or _unit(metrics)),
+            metrics,
+        )
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read `folder`/metrics.json. Raises RunRecordError where it is missing or damaged."""
+        path = folder / METRICS
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise RunRecordError(f"{path} is missing") from None
+        except OSError as error:
+            raise RunRecordError(f"{path} cannot be read: {error.strerror}") from None
+        except ValueError as error:  # no JSON, or no UTF-8
+            raise RunRecordError(f"{path} is damaged: {' '.join(str(error).split())}") from None
+        if not isinstance(content, dict):
+            raise RunRecordError(f"{path} is damaged: it must be an object")
+        return cls.of(folder, content)
+
+    def write(self) -> None:
+        """Write metrics.json, whole or not at all. Raises OSError where the folder does not take it."""
+        with replacing(self.folder / METRICS) as temporary:
+            temporary.write_text(json.dumps(dict(self.metrics), indent=1) + "\n", encoding="utf-8")
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the run has results to show."""
+        return self.status is RunStatus.COMPLETE
+
+    def number(self, name: str) -> float | None:
+        """A metric as a finite number; None where there is none."""
+        value = self.metrics.get(name)
+        return float(value) if is_number(value) else None
+
+
+def is_number(value: object) -> TypeGuard[int | float]:
+    """Whether a metric is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _scene(metrics: Mapping[str, Any], overrides: Mapping[str, str]) -> str:
+    """The scene's name, or that of the folder that was given on the command line where `capture` is all it says."""
+    place = metrics.get("capture") or overrides.get("scene.path")
+    scene = metrics.get("scene") or (Path(place).name if isinstance(place, str) else "") or overrides.get("scene", "")
+    if "scene.path" in overrides and scene == overrides.get("scene"):
+        return Path(overrides["scene.path"]).name
+    return str(scene)
+
+
+def _unit(metrics: Mapping[str, Any]) -> str:
+    found = (name.removeprefix(stem) for stem in UNIT_STEMS for name in metrics if name.startswith(stem))
+    return next((unit for unit in found if "_" not in unit), "")

@@ -1,17 +1,18 @@
 """What lies in a run folder, read as far as it can be."""
 
-import json
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.evaluate.metrics import evaluate
 from torchrefrac.files.cameras import load_cameras, load_points
 from torchrefrac.files.capture import load_capture
+from torchrefrac.files.run import RunRecord
 from torchrefrac.files.tracks import read_run
 from torchrefrac.files.truth import load_truth
 from torchrefrac.geometry import Similarity
@@ -26,12 +27,11 @@ OPTIONS, OVERRIDES = Path(".hydra/config.yaml"), Path(".hydra/overrides.yaml")
 class RunContents:
     """A run, however far it got; None or empty for what is missing, and `notes` say why.
 
-    options: the text of all options; overrides: what the command line said. `aligned` maps the frame of the
+    options: the text of all options; overrides: those of the command line as KEY=VALUE. `aligned` maps the frame of the
     reconstruction to that of the truth.
     """
 
-    folder: Path
-    metrics: dict[str, Any] = field(default_factory=dict)
+    record: RunRecord
     options: str = ""
     overrides: tuple[str, ...] = ()
     reconstruction: Reconstruction | None = None
@@ -41,26 +41,12 @@ class RunContents:
     notes: tuple[str, ...] = ()
 
     @property
-    def status(self) -> str:
-        """complete, failed, interrupted, running, or unknown."""
-        return str(self.metrics.get("status", "unknown"))
-
-    @property
-    def model(self) -> str:
-        return str(self.metrics.get("model", "?"))
-
-    @property
-    def scene(self) -> str:
-        """What reports call the scene: its name, or that of the folder of the photographs."""
-        return str(self.metrics.get("scene") or Path(self.metrics.get("capture", "?")).name)
-
-    @property
     def unit(self) -> str:
         """The length unit; empty where nothing says it."""
         for source in (self.reconstruction, self.truth, self.capture):
             if source is not None:
                 return source.length_unit
-        return next((k.removeprefix("camera_rms_") for k in self.metrics if k.startswith("camera_rms_")), "")
+        return self.record.length_unit
 
     @property
     def shown(self) -> Reconstruction | None:
@@ -80,10 +66,9 @@ def read_contents(folder: Path, truths: Truths, with_capture: bool = True) -> Ru
     photographs' capture.json, and the photographs for their size.
     """
     notes: list[str] = []
-    metrics = _attempt(lambda: read_metrics_of(folder), notes) or {}
-    options, overrides = read_options(folder, metrics)
+    record = _attempt(lambda: RunRecord.read(folder), notes) or RunRecord(folder)
     reconstruction = _attempt(lambda: _reconstruction(folder), notes, "The cameras and points cannot be read: ")
-    place = Path(metrics["capture"]) if isinstance(metrics.get("capture"), str) else None
+    place = record.capture
     truth = capture = aligned = None
     if place is not None and place.is_dir():
         if place not in truths:
@@ -95,38 +80,21 @@ def read_contents(folder: Path, truths: Truths, with_capture: bool = True) -> Ru
     if reconstruction is not None and truth is not None:
         aligned = evaluate(replace(reconstruction, points=reconstruction.points[:0]), truth)[1]  # cameras decide it
         truth = truth if aligned is not None else None
-    return RunContents(
-        folder, metrics, options, overrides, reconstruction, capture, truth, aligned, tuple(dict.fromkeys(notes))
-    )
+    options, overrides = _text(folder / OPTIONS), _overrides(record)
+    return RunContents(record, options, overrides, reconstruction, capture, truth, aligned, tuple(dict.fromkeys(notes)))
 
 
-def read_metrics_of(folder: Path) -> dict[str, Any]:
-    """metrics.json, whatever is in it. Raises OSError or ValueError where it is missing or damaged."""
-    path = folder / "metrics.json"
-    if not path.is_file():
-        raise ValueError(f"{path} is missing: the run never began, or its folder is another one")
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path} is damaged: {error}") from None
-    if not isinstance(found, dict):
-        raise ValueError(f"{path} holds {type(found).__name__}, but must hold an object")
-    return found
-
-
-def read_options(folder: Path, metrics: dict[str, Any]) -> tuple[str, tuple[str, ...]]:
-    """All options as text, and the overrides of the command line as KEY=VALUE; empty where the folder lacks them."""
-    options = _text(folder / OPTIONS)
-    told = metrics.get("overrides")
-    if isinstance(told, dict):
-        return options, tuple(f"{key}={value}" for key, value in told.items())
+def _overrides(record: RunRecord) -> tuple[str, ...]:
+    """Empty where neither the record nor the options that Hydra keeps say them."""
+    if record.overrides:
+        return tuple(f"{key}={value}" for key, value in record.overrides.items())
     import yaml  # noqa: PLC0415 - only reports need it
 
     try:
-        listed = yaml.safe_load(_text(folder / OVERRIDES))
+        listed = yaml.safe_load(_text(record.folder / OVERRIDES))
     except yaml.YAMLError:
         listed = None
-    return options, tuple(map(str, listed)) if isinstance(listed, list) else ()
+    return tuple(map(str, listed)) if isinstance(listed, list) else ()
 
 
 def _text(path: Path) -> str:
@@ -181,5 +149,5 @@ def _moved(scene: Reconstruction, change: Similarity) -> Reconstruction:
     )
 
 
-def _turned(covariance: Tensor, change: Similarity) -> Tensor:
+def _turned(covariance: Float[Tensor, "k 3 3"], change: Similarity) -> Float[Tensor, "k 3 3"]:
     return change.scale**2 * change.rotation @ covariance @ change.rotation.mT

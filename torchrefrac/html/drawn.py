@@ -48,7 +48,7 @@ def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Draw
     for i, run in enumerate(runs):
         if run.reconstruction is None or not bool(run.reconstruction.registered.any()):
             continue
-        view = side_view(run.model, run.reconstruction, run.aligned, run.metrics)
+        view = side_view(run.record.model or "?", run.reconstruction, run.aligned, run.record.metrics)
         caption = view.caption.replace(", ", "\n")
         views.append(replace(view, title=titles[i] if titles else view.title, caption=caption))
         truth = truth or run.truth

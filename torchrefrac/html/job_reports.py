@@ -5,13 +5,13 @@ from pathlib import Path
 
 from torchrefrac.html.run_page import write_report
 from torchrefrac.recorder import Recorder
-from torchrefrac.sweeps.jobs import load_jobs, what_varied
+from torchrefrac.sweeps.design import load_runs, what_varied
 from torchrefrac.sweeps.pictured import shown_together
 
 
 def write_job_reports(runs: Sequence[Path], recorder: Recorder) -> None:
     """Write report.html into every run folder of a sweep. Raises OSError where one cannot be written."""
-    jobs = load_jobs(runs)
+    jobs = load_runs(runs)
     groups = [[job.folder for job in members] for members in shown_together(jobs, what_varied(jobs)).values()]
     for run in recorder.track(runs, len(runs), "reports", "run"):
         beside = next((group for group in groups if run in group), [])

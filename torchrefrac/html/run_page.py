@@ -1,7 +1,7 @@
 """The report of one run."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,9 @@ from torchrefrac.html.tables import Entry, files_of, photograph_heads, photograp
 from torchrefrac.html.words import (
     MODELS,
     UNKNOWN,
+    distinct,
     job_name,
+    model_order,
     model_title,
     placed_words,
     plain,
@@ -23,11 +25,10 @@ from torchrefrac.html.words import (
     with_sigma,
 )
 from torchrefrac.record.summary import dense_lines
+from torchrefrac.sweeps.pictured import MOST_PANELS
 
 REPORT = "report.html"
-ORDER = ("none", "radial", "refractive")
 LOG, LOG_LINES = "run.log", 60
-MOST_PANELS = 6
 
 
 def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
@@ -39,6 +40,7 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
     """
     truths: Truths = {}
     contents = read_contents(run, truths)
+    record = contents.record
     others = [
         read_contents(other, truths, with_capture=False) for other in compared if other.resolve() != run.resolve()
     ]
@@ -48,22 +50,23 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
     write_page(
         "run.html",
         run / REPORT,
-        title=job_name(run, contents.metrics),
+        title=job_name(record),
         run=contents,
-        model_words=MODELS.get(contents.model, ""),
-        verdict=verdict(contents.metrics, contents.unit),
+        record=record,
+        model_words=MODELS.get(record.model, ""),
+        verdict=verdict(record, contents.unit),
         tiles=_tiles(contents),
-        table=_table(contents, others) if contents.status == "complete" else None,
+        table=_table(contents, others) if record.is_complete else None,
         figures=_figures(contents, others, residuals),
-        dense=drawn.draw_dense(run) if "dense_points" in contents.metrics else [],
-        dense_words=_dense_words(contents.metrics),
-        determined=_determined(contents.metrics),
-        held=list((contents.metrics.get("held") or {}).values()),
+        dense=drawn.draw_dense(run) if "dense_points" in record.metrics else [],
+        dense_words=_dense_words(record.metrics),
+        determined=_determined(record.metrics),
+        held=list((record.metrics.get("held") or {}).values()),
         heads=photograph_heads(contents),
         photographs=photographs(contents, residuals),
-        timings=timings(contents.metrics),
-        total=seconds(float(contents.metrics.get("seconds_total") or 0.0)),
-        memory=contents.metrics.get("peak_memory_gib"),
+        timings=timings(record),
+        total=seconds(record.number("seconds_total") or 0.0),
+        memory=record.metrics.get("peak_memory_gib"),
         files=files_of(run),
         log=_tail(run / LOG),
     )
@@ -72,7 +75,7 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
 
 def _tiles(run: RunContents) -> list[tuple[str, str]]:
     """The few numbers that matter, with what they are."""
-    m, unit = run.metrics, run.unit
+    m, unit = run.record.metrics, run.unit
     found: list[tuple[str, str]] = []
     if placed_words(m) != UNKNOWN:
         found.append((placed_words(m, " / "), "photographs placed"))
@@ -83,7 +86,7 @@ def _tiles(run: RunContents) -> list[tuple[str, str]]:
         found.append((f"{rounded(m[f'surface_median_{unit}'])} {unit}", "points off the true surface, median"))
     if m.get("reprojection_median_px") is not None:
         found.append((f"{rounded(m['reprojection_median_px'])} px", "reprojection error, median"))
-    if m.get("model") == "refractive" and m.get("index_ratio") is not None:
+    if run.record.model == "refractive" and m.get("index_ratio") is not None:
         sigma, true = m.get("index_ratio_sigma"), m.get("true_index_ratio")
         value = plain(m["index_ratio"]) if sigma is None else with_sigma(m["index_ratio"], sigma)
         words = "index ratio, " + ("assumed" if sigma is None else "estimated")
@@ -96,10 +99,10 @@ def _tiles(run: RunContents) -> list[tuple[str, str]]:
 
 
 def _table(run: RunContents, others: Sequence[RunContents]) -> Any:
-    every = in_order([run, *others])
-    titles = titles_of(every)
+    every = _in_order([run, *others])
+    titles = _titles(every)
     entries = [
-        Entry(title, each.metrics, "" if each is run else relative_report(each.folder, run.folder))
+        Entry(title, each.record, "" if each is run else relative_report(each.record.folder, run.record.folder))
         for title, each in zip(titles, every, strict=True)
     ]
     return table1(entries, run.unit, every.index(run) if others else None)
@@ -109,10 +112,10 @@ def _figures(run: RunContents, others: Sequence[RunContents], residuals: Residua
     shown = run.shown
     if shown is None or not bool(shown.registered.any()):
         return []
-    every = in_order([run, *others])
+    every = _in_order([run, *others])
     beside = every if len(every) <= MOST_PANELS else [run]
     found = [
-        drawn.draw_models(beside, titles_of(beside)),
+        drawn.draw_models(beside, _titles(beside)),
         drawn.draw_cameras(shown, run.truth),
         drawn.draw_attitude(run),
     ]
@@ -122,18 +125,13 @@ def _figures(run: RunContents, others: Sequence[RunContents], residuals: Residua
     return [figure for figure in found if figure is not None]
 
 
-def in_order(runs: Sequence[RunContents]) -> list[RunContents]:
-    """The models from none to refractive, then by folder."""
-    return sorted(runs, key=lambda run: (ORDER.index(run.model) if run.model in ORDER else len(ORDER), run.folder.name))
+def _in_order(runs: Sequence[RunContents]) -> list[RunContents]:
+    return sorted(runs, key=lambda run: model_order(run.record))
 
 
-def titles_of(runs: Sequence[RunContents]) -> list[str]:
+def _titles(runs: Sequence[RunContents]) -> list[str]:
     """What each is called: its model, with the folder where that is not enough."""
-    titles = [model_title(run.model) for run in runs]
-    return [
-        title if titles.count(title) == 1 else f"{title} [{run.folder.name}]"
-        for title, run in zip(titles, runs, strict=True)
-    ]
+    return distinct([model_title(run.record.model) for run in runs], [run.record for run in runs])
 
 
 def relative_report(run: Path, folder: Path) -> str:
@@ -141,13 +139,13 @@ def relative_report(run: Path, folder: Path) -> str:
     return Path(os.path.relpath(run.resolve() / REPORT, folder.resolve())).as_posix()
 
 
-def _determined(metrics: dict[str, Any]) -> list[tuple[str, str]]:
+def _determined(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The verdicts of the adjustment as what and how well."""
     pairs = [str(sentence).partition(": ") for sentence in metrics.get("determined") or []]
     return [(name, words or UNKNOWN) for name, _, words in pairs]
 
 
-def _dense_words(metrics: dict[str, Any]) -> list[str]:
+def _dense_words(metrics: Mapping[str, Any]) -> list[str]:
     """Empty where a metric is missing, as after a dense stage that did not finish."""
     try:
         return dense_lines(metrics) if "dense_points" in metrics else []

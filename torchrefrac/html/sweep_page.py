@@ -4,15 +4,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from torchrefrac.files.run import RunRecord
 from torchrefrac.html.contents import Truths, read_contents
 from torchrefrac.html.drawn import Drawn, draw_models
 from torchrefrac.html.embed import Picture, picture
 from torchrefrac.html.page import write_page
-from torchrefrac.html.run_page import MOST_PANELS, ORDER, REPORT, relative_report
+from torchrefrac.html.run_page import REPORT, relative_report
 from torchrefrac.html.tables import Entry, Table, files_of, table1
-from torchrefrac.html.words import MODELS, model_title, seconds
-from torchrefrac.sweeps.jobs import Job, load_jobs, short_keys, what_varied
-from torchrefrac.sweeps.units import unit_of
+from torchrefrac.html.words import MODELS, distinct, model_order, model_title, seconds
+from torchrefrac.sweeps.design import load_runs, short_keys, what_varied
+from torchrefrac.sweeps.pictured import MOST_PANELS
 
 SUMMARY, SUMMARY_WIDTH = "summary.png", 1600
 MOST_FIGURES = 12
@@ -23,7 +24,7 @@ DEFAULT = "by default"
 class Failed:
     """A job without a result, what it is called, and the link to its own report (empty: it has none)."""
 
-    job: Job
+    job: RunRecord
     label: str
     link: str
 
@@ -43,7 +44,7 @@ def write_sweep_report(folder: Path, runs: Sequence[Path]) -> Path:
     It holds summary.png where that lies in the folder, and Table 1 and Figure 1 of each scene, and links to the jobs'
     own reports, which must be written before. Raises OSError where the page cannot be written.
     """
-    jobs = load_jobs(runs)
+    jobs = load_runs(runs)
     short = short_keys(what_varied(jobs).keys)
     sections = _sections([job for job in jobs if job.is_complete], short, folder)
     failed = [job for job in jobs if not job.is_complete]
@@ -53,9 +54,9 @@ def write_sweep_report(folder: Path, runs: Sequence[Path]) -> Path:
         title=f"{len(jobs)} jobs: {_listed([section.title for section in sections])}" if sections else "Sweep",
         verdict=_verdict(jobs, failed),
         total=seconds(sum(job.number("seconds_total") or 0.0 for job in jobs)),
-        models={model_title(name): MODELS[name] for name in ORDER if any(job.model == name for job in jobs)},
+        models={model_title(name): MODELS[name] for name in MODELS if any(job.model == name for job in jobs)},
         varied={
-            key: list(dict.fromkeys(job.settings.get(key, DEFAULT) for job in jobs if job.settings)) for key in short
+            key: list(dict.fromkeys(job.overrides.get(key, DEFAULT) for job in jobs if job.overrides)) for key in short
         },
         failed=[Failed(job, _label(job, short) or job.folder.name, _link(job, folder)) for job in failed],
         summary=_summary(folder / SUMMARY),
@@ -65,34 +66,31 @@ def write_sweep_report(folder: Path, runs: Sequence[Path]) -> Path:
     return folder / REPORT
 
 
-def _link(job: Job, folder: Path) -> str:
+def _link(job: RunRecord, folder: Path) -> str:
     """To the report of a job, from a page in `folder`; empty where it has none."""
     return relative_report(job.folder, folder) if (job.folder / REPORT).is_file() else ""
 
 
-def _sections(jobs: Sequence[Job], short: Mapping[str, str], folder: Path) -> list[SceneSection]:
-    groups: dict[str, list[Job]] = {}
+def _sections(jobs: Sequence[RunRecord], short: Mapping[str, str], folder: Path) -> list[SceneSection]:
+    groups: dict[str, list[RunRecord]] = {}
     for job in jobs:
-        groups.setdefault(str(job.metrics.get("capture", job.scene)), []).append(job)
+        groups.setdefault(str(job.capture or job.scene), []).append(job)
     found = []
     for number, group in enumerate(groups.values()):
-        same = [key for key in short if len({job.settings.get(key) for job in group}) == 1]
-        ordered = sorted(group, key=lambda job: ORDER.index(job.model) if job.model in ORDER else len(ORDER))
+        same = [key for key in short if len({job.overrides.get(key) for job in group}) == 1]
+        ordered = sorted(group, key=model_order)
         shared = same if len(groups) > 1 else []
         told = {key: name for key, name in short.items() if key not in shared}
-        labels = [_label(job, told, with_scene=False) for job in ordered]
-        labels = [
-            label if labels.count(label) == 1 else f"{label} [{job.folder.name}]"
-            for label, job in zip(labels, ordered, strict=True)
-        ]
-        title = ", ".join((group[0].scene, *(f"{short[key]} {group[0].settings.get(key, DEFAULT)}" for key in shared)))
-        entries = [Entry(label, job.metrics, _link(job, folder)) for label, job in zip(labels, ordered, strict=True)]
+        labels = distinct([_label(job, told, with_scene=False) for job in ordered], ordered)
+        title = ", ".join((group[0].scene, *(f"{short[key]} {group[0].overrides.get(key, DEFAULT)}" for key in shared)))
+        entries = [Entry(label, job, _link(job, folder)) for label, job in zip(labels, ordered, strict=True)]
+        unit = next((job.length_unit for job in group if job.length_unit), "")
         drawn = _figure(ordered, labels) if number < MOST_FIGURES else None
-        found.append(SceneSection(title, table1(entries, _unit(group)), drawn))
+        found.append(SceneSection(title, table1(entries, unit), drawn))
     return found
 
 
-def _figure(jobs: Sequence[Job], labels: Sequence[str]) -> Drawn | None:
+def _figure(jobs: Sequence[RunRecord], labels: Sequence[str]) -> Drawn | None:
     """Of two to six jobs; fewer have nothing beside them, more would be too small."""
     if not 2 <= len(jobs) <= MOST_PANELS:
         return None
@@ -100,19 +98,11 @@ def _figure(jobs: Sequence[Job], labels: Sequence[str]) -> Drawn | None:
     return draw_models([read_contents(job.folder, truths, with_capture=False) for job in jobs], labels)
 
 
-def _label(job: Job, short: Mapping[str, str], with_scene: bool = True) -> str:
+def _label(job: RunRecord, short: Mapping[str, str], with_scene: bool = True) -> str:
     words = [job.scene] if with_scene and job.scene else []
     words += [model_title(job.model)] if job.model else []
-    words += [f"{name} {job.settings[key]}" for key, name in short.items() if key in job.settings]
+    words += [f"{name} {job.overrides[key]}" for key, name in short.items() if key in job.overrides]
     return ", ".join(words)
-
-
-def _unit(group: Sequence[Job]) -> str:
-    for stem in ("camera_rms", "camera_sigma_median", "point_sigma_median"):
-        unit = unit_of(group, stem)
-        if unit:
-            return unit
-    return ""
 
 
 def _summary(path: Path) -> Picture | None:
@@ -122,7 +112,7 @@ def _summary(path: Path) -> Picture | None:
         return None
 
 
-def _verdict(jobs: Sequence[Job], failed: Sequence[Job]) -> str:
+def _verdict(jobs: Sequence[RunRecord], failed: Sequence[RunRecord]) -> str:
     done = f"{len(jobs) - len(failed)} of {len(jobs)} jobs are complete"
     return f"{done}." if not failed else f"{done}; {len(failed)} failed or did not finish."
 

@@ -1,15 +1,15 @@
 """The tables of a report."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 
 from torchrefrac.figures.residuals import Residuals
 from torchrefrac.figures.shift import off_nadir
 from torchrefrac.figures.uncertainty import true_errors
+from torchrefrac.files.run import RunRecord, is_number
 from torchrefrac.html.contents import RunContents
 from torchrefrac.html.embed import thumbnail
 from torchrefrac.html.words import UNKNOWN, file_size, placed_words, plain, rounded, seconds, with_sigma
@@ -44,10 +44,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Entry:
-    """A run in Table 1: what it is called, its metrics, and where its own report is (empty: here)."""
+    """A run in Table 1: what it is called, its record, and where its own report is (empty: here)."""
 
     label: str
-    metrics: Mapping[str, Any]
+    record: RunRecord
     link: str = ""
 
 
@@ -61,36 +61,29 @@ def table1(entries: Sequence[Entry], unit: str, marked: int | None = None) -> Ta
     ]
     columns += [("reprojection (px)", "reprojection_median_px", rounded, True)]
     columns += [("points", "points", lambda value: f"{value:.0f}", False), ("time", "seconds_total", seconds, False)]
-    columns = [column for column in columns if any(_number(entry, column[1]) is not None for entry in entries)]
-    rows = [[Cell(entry.label, entry.link), Cell(_placed(entry.metrics))] for entry in entries]
+    columns = [column for column in columns if any(entry.record.number(column[1]) is not None for entry in entries)]
+    rows = [[Cell(entry.label, entry.link), Cell(_placed(entry.record))] for entry in entries]
     for _, key, words, is_error in columns:
-        values = [_number(entry, key) for entry in entries]
+        values = [entry.record.number(key) for entry in entries]
         known = [value for value in values if value is not None]
         least = min(known) if is_error and len(known) > 1 else None
         for row, value in zip(rows, values, strict=True):
             row.append(Cell(UNKNOWN if value is None else words(value), best=least is not None and value == least))
     for row, entry in zip(rows, entries, strict=True):
-        row.append(Cell(_index_ratio(entry.metrics)))
+        row.append(Cell(_index_ratio(entry.record)))
     heads = ["model", "placed", *(name for name, *_ in columns), "index ratio"]
     keys = {key for _, key, *_ in columns}
     terms = tuple((name, words) for name, key, words in ERRORS if f"{key}_{unit}" in keys)
     return Table(heads, rows, () if marked is None else (marked,), terms)
 
 
-def _number(entry: Entry, key: str) -> float | None:
-    value = entry.metrics.get(key)
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+def _placed(record: RunRecord) -> str:
+    return placed_words(record.metrics) if record.is_complete else record.status
 
 
-def _placed(metrics: Mapping[str, Any]) -> str:
-    if metrics.get("status") != "complete":
-        return str(metrics.get("status", "unknown"))
-    return placed_words(metrics)
-
-
-def _index_ratio(metrics: Mapping[str, Any]) -> str:
-    ratio, sigma = metrics.get("index_ratio"), metrics.get("index_ratio_sigma")
-    if ratio is None or metrics.get("model") != "refractive":
+def _index_ratio(record: RunRecord) -> str:
+    ratio, sigma = record.number("index_ratio"), record.number("index_ratio_sigma")
+    if ratio is None or record.model != "refractive":
         return UNKNOWN
     return plain(ratio) if sigma is None else with_sigma(ratio, sigma)
 
@@ -171,13 +164,13 @@ class Bar:
     percent: float
 
 
-def timings(metrics: Mapping[str, Any]) -> list[Bar]:
+def timings(record: RunRecord) -> list[Bar]:
     """The seconds of each stage, and what is left of the total."""
-    start, total = "seconds_", float(metrics.get("seconds_total") or 0.0)
+    start, total = "seconds_", record.number("seconds_total") or 0.0
     parts = {
         key.removeprefix(start): float(value)
-        for key, value in metrics.items()
-        if key.startswith(start) and key != "seconds_total" and isinstance(value, int | float)
+        for key, value in record.metrics.items()
+        if key.startswith(start) and key != "seconds_total" and is_number(value)
     }
     rest = total - sum(parts.values())
     if parts and rest > 0.01 * total:

@@ -1,17 +1,22 @@
 """Numbers and sentences of a report: no more digits than mean something."""
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from torchrefrac.figures.plotting import UNKNOWN, rounded
 from torchrefrac.figures.side_views import TITLES
+from torchrefrac.files.run import RunRecord, RunStatus
 
 MODELS = {
     "none": "as if there were no water",
     "radial": "as if the lens made what the water does: radial distortion refined",
     "refractive": "with refraction at the water surface, exactly",
+}
+ENDS = {
+    RunStatus.FAILED: "Failed",
+    RunStatus.INTERRUPTED: "Interrupted",
+    RunStatus.RUNNING: "Not finished: still running, or ended without a word;",
 }
 MINUTE = 60.0
 
@@ -46,21 +51,35 @@ def file_size(count: int) -> str:
 
 
 def model_title(model: str) -> str:
-    return TITLES.get(model, model)
+    return TITLES.get(model, model) or "?"
 
 
-def verdict(metrics: Mapping[str, Any], unit: str) -> str:
+def model_order(record: RunRecord) -> tuple[int, str]:
+    """Sorts the models from none to refractive, then by folder."""
+    models = list(MODELS)
+    return models.index(record.model) if record.model in models else len(models), record.folder.name
+
+
+def distinct(titles: Sequence[str], records: Sequence[RunRecord]) -> list[str]:
+    """The titles of runs, with the folder where several have the same."""
+    return [
+        title if titles.count(title) == 1 else f"{title} [{record.folder.name}]"
+        for title, record in zip(titles, records, strict=True)
+    ]
+
+
+def verdict(record: RunRecord, unit: str) -> str:
     """What became of a run, in one sentence."""
-    status = metrics.get("status", "unknown")
-    if status != "complete":
-        return _ended(metrics)
+    metrics = record.metrics
+    if not record.is_complete:
+        return _ended(record)
     parts = [f"{placed_words(metrics, ' of ')} photographs placed"]
     error = metrics.get(f"camera_rms_{unit}")
     if error is not None:
         parts.append(f"cameras within {rounded(error)} {unit} of the truth (RMS)")
     elif metrics.get("reprojection_median_px") is not None:
         parts.append(f"median reprojection error {rounded(metrics['reprojection_median_px'])} px")
-    return "; ".join([*parts, *index_ratio_words(metrics)]) + "."
+    return "; ".join([*parts, *index_ratio_words(record)]) + "."
 
 
 def placed_words(metrics: Mapping[str, Any], between: str = "/") -> str:
@@ -69,41 +88,32 @@ def placed_words(metrics: Mapping[str, Any], between: str = "/") -> str:
     return UNKNOWN if count is None else f"{count}{between}{metrics.get('images', '?')}"
 
 
-def index_ratio_words(metrics: Mapping[str, Any]) -> list[str]:
-    """What is said of the index ratio: nothing where the model has no water."""
+def index_ratio_words(record: RunRecord) -> list[str]:
+    """What to say of the index ratio: nothing where the model has no water."""
+    metrics = record.metrics
     ratio, truth = metrics.get("index_ratio"), metrics.get("true_index_ratio")
     if ratio is None:
         return []
-    if metrics.get("model") != "refractive":
+    if record.model != "refractive":
         return ["the water is left out of account" + (f" (true index ratio {plain(truth)})" if truth else "")]
     sigma = metrics.get("index_ratio_sigma")
     value = f"{plain(ratio)} assumed" if sigma is None else with_sigma(ratio, sigma)
     return [f"index ratio {value}" + (f" (true {plain(truth)})" if truth else "")]
 
 
-def _ended(metrics: Mapping[str, Any]) -> str:
-    status = str(metrics.get("status", "unknown"))
-    stages = [str(stage) for stage in metrics.get("stages") or []]
-    words = {
-        "failed": "Failed",
-        "interrupted": "Interrupted",
-        "running": "Not finished: still running, or ended without a word",
-        "unknown": "Nothing is known about this run",
-    }
-    begun = f"after {_listed(stages)}" if stages else "before the first stage was complete"
-    reason = str(metrics.get("reason", "")).strip().rstrip(".")
-    sentence = words.get(status, status)
-    if status != "unknown":
-        sentence += f" {begun}" if status != "running" else f"; {begun}"
+def _ended(record: RunRecord) -> str:
+    begun = f"after {_listed(record.stages)}" if record.stages else "before the first stage was complete"
+    known = record.status is not RunStatus.UNKNOWN
+    sentence = f"{ENDS[record.status]} {begun}" if known else "Nothing is known about this run"
+    reason = record.reason.rstrip(".")
     return sentence + (f": {reason}." if reason else ".")
 
 
-def _listed(words: list[str]) -> str:
+def _listed(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def job_name(run: Path, metrics: Mapping[str, Any]) -> str:
-    """What a job is called beside others: scene and model."""
-    scene = metrics.get("scene") or Path(str(metrics.get("capture", ""))).name
-    title = model_title(str(metrics.get("model", "")))
-    return ": ".join(filter(None, (str(scene), title))) or run.resolve().name
+def job_name(record: RunRecord) -> str:
+    """What a run is called beside others: scene and model."""
+    title = model_title(record.model) if record.model else ""
+    return ": ".join(filter(None, (record.scene, title))) or record.folder.resolve().name

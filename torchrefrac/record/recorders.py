@@ -5,6 +5,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
+from jaxtyping import Float, Shaped, UInt8
 from torch import Tensor
 
 from torchrefrac.files.run import PARTS
@@ -31,15 +32,15 @@ class Recorders:
         for recorder in self._recorders:
             recorder.scalar(name, value, step)
 
-    def histogram(self, name: str, values: Tensor, step: int) -> None:
+    def histogram(self, name: str, values: Shaped[Tensor, " n"], step: int) -> None:
         for recorder in self._recorders:
             recorder.histogram(name, values, step)
 
-    def picture(self, name: str, image: Tensor, step: int) -> None:
+    def picture(self, name: str, image: UInt8[Tensor, "height width 3"], step: int) -> None:
         for recorder in self._recorders:
             recorder.picture(name, image, step)
 
-    def cloud(self, name: str, points: Tensor, colors: Tensor, step: int) -> None:
+    def cloud(self, name: str, points: Float[Tensor, "n 3"], colors: UInt8[Tensor, "n 3"], step: int) -> None:
         for recorder in self._recorders:
             recorder.cloud(name, points, colors, step)
 

@@ -1,11 +1,10 @@
 """What a command says when it is done."""
 
-import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from torchrefrac.evaluate.dense_metrics import FOUND, TYPICAL
-from torchrefrac.record.terminal import WIDTH
+from torchrefrac.record.terminal import wrapped
 
 LEFT_OUT = {
     "lost_images": "images left out, as too few of their points fit",
@@ -16,14 +15,10 @@ LEFT_OUT = {
 
 def summary(lines: Sequence[str]) -> str:
     """One text, wrapped for the terminal."""
-    filled = (
-        textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
-        for line in lines
-    )
-    return "\n".join(filled)
+    return "\n".join(map(wrapped, lines))
 
 
-def adjustment_lines(metrics: dict[str, Any]) -> list[str]:
+def adjustment_lines(metrics: Mapping[str, Any]) -> list[str]:
     """Of `torchrefrac adjust`, from its metrics."""
     unit, sigma = metrics["length_unit"], metrics["index_ratio_sigma"]
     spread = "" if sigma is None else f" +- {sigma:.2g}"
@@ -47,7 +42,7 @@ def adjustment_lines(metrics: dict[str, Any]) -> list[str]:
     return lines + _against_truth(metrics)
 
 
-def _against_truth(metrics: dict[str, Any]) -> list[str]:
+def _against_truth(metrics: Mapping[str, Any]) -> list[str]:
     key = next((key for key in metrics if key.startswith("camera_rms_")), None)
     if key is None:
         return []
@@ -60,7 +55,7 @@ def _against_truth(metrics: dict[str, Any]) -> list[str]:
     return [line]
 
 
-def reconstruction_lines(metrics: dict[str, Any]) -> list[str]:
+def reconstruction_lines(metrics: Mapping[str, Any]) -> list[str]:
     """Of a reconstruction, from its metrics."""
     lines = [
         f"{metrics['registered_images']} of {metrics['images']} images registered, {metrics['points']} points, "
@@ -78,7 +73,7 @@ def reconstruction_lines(metrics: dict[str, Any]) -> list[str]:
     return lines + _against_truth(metrics) + (dense_lines(metrics) if "dense_points" in metrics else [])
 
 
-def dense_lines(metrics: dict[str, Any]) -> list[str]:
+def dense_lines(metrics: Mapping[str, Any]) -> list[str]:
     """Of a dense stage, from the metrics of its run."""
     speed = f" ({metrics['dense_patches_per_s']:.0f} patches/s)" if "dense_patches_per_s" in metrics else ""
     again = metrics.get("dense_images_resumed")

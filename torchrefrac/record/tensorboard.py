@@ -1,6 +1,5 @@
 """Curves, histograms, pictures, clouds and the table of runs for TensorBoard."""
 
-import math
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -9,8 +8,10 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 import cv2
+from jaxtyping import Float, Shaped, UInt8
 from torch import Tensor
 
+from torchrefrac.files.run import is_number
 from torchrefrac.recorder import Advance, SilentRecorder
 
 T = TypeVar("T")
@@ -69,12 +70,12 @@ class TensorBoardRecorder(SilentRecorder):
     def scalar(self, name: str, value: float, step: int) -> None:
         self._writer.add_scalar(name, value, step)
 
-    def histogram(self, name: str, values: Tensor, step: int) -> None:
+    def histogram(self, name: str, values: Shaped[Tensor, " n"], step: int) -> None:
         finite = values[values.isfinite()]
         if len(finite):
             self._writer.add_histogram(name, finite, step)
 
-    def picture(self, name: str, image: Tensor, step: int) -> None:
+    def picture(self, name: str, image: UInt8[Tensor, "height width 3"], step: int) -> None:
         from tensorboard.compat.proto import summary_pb2  # noqa: PLC0415 - slow to import
 
         height, width, channels = image.shape
@@ -87,7 +88,7 @@ class TensorBoardRecorder(SilentRecorder):
             proto.Summary(value=[proto.Summary.Value(tag=name, image=shown)]), step
         )
 
-    def cloud(self, name: str, points: Tensor, colors: Tensor, step: int) -> None:
+    def cloud(self, name: str, points: Float[Tensor, "n 3"], colors: UInt8[Tensor, "n 3"], step: int) -> None:
         """Of a large cloud every n-th point alone."""
         every = -(-len(points) // MOST_POINTS)
         if not every:
@@ -110,7 +111,7 @@ class TensorBoardRecorder(SilentRecorder):
         from torch.utils.tensorboard.summary import hparams  # noqa: PLC0415 - slow to import
 
         chosen = {name: value for name, value in options.items() if isinstance(value, str | int | float | bool)}
-        numbers = {name: float(value) for name, value in metrics.items() if _is_number(value)}
+        numbers = {name: float(value) for name, value in metrics.items() if is_number(value)}
         reached = {f"metrics/{name}": numbers[name] for name in sorted(numbers, key=_column)}
         experiment, start, end = hparams(chosen, reached)
         writer = self._writer._get_file_writer()
@@ -140,7 +141,3 @@ def remove_events(folder: Path) -> None:
 def _column(name: str) -> int:
     first = next((i for i, start in enumerate(COLUMNS) if name.startswith(start)), len(COLUMNS))
     return len(COLUMNS) + 1 if name.startswith(LAST) else first
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

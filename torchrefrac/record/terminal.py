@@ -1,6 +1,7 @@
 """Progress for a person at a terminal; plain lines where the output is not one."""
 
 import sys
+import textwrap
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -14,6 +15,11 @@ from torchrefrac.recorder import Advance, SilentRecorder
 T = TypeVar("T")
 WIDTH = 100
 ALIVE_SECONDS = 30.0
+
+
+def wrapped(line: str) -> str:
+    """A line for the terminal, broken between words where it is too long for it."""
+    return textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 class TerminalRecorder(SilentRecorder):

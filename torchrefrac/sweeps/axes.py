@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from torchrefrac.sweeps.jobs import Design
+from torchrefrac.sweeps.design import Design
 from torchrefrac.sweeps.lines import Line, places_of
 
 LOG_SPAN = 30.0  # a range of more than this is drawn on a logarithmic scale

@@ -11,11 +11,11 @@ from torchrefrac.figures.dense import dense_view, draw_dense_views, draw_error_m
 from torchrefrac.figures.side_views import TITLES, draw_side_views, side_view
 from torchrefrac.files.cameras import load_cameras, load_points
 from torchrefrac.files.dense import load_dense
-from torchrefrac.files.run import DENSE_CLOUD
+from torchrefrac.files.run import DENSE_CLOUD, RunRecord
 from torchrefrac.files.truth import load_truth
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Reconstruction, Truth
-from torchrefrac.sweeps.jobs import Job, failed_first, has_paper_form, load_jobs, scenes_of, what_varied
+from torchrefrac.sweeps.design import failed_first, has_paper_form, load_runs, scenes_of, what_varied
 from torchrefrac.sweeps.markdown import decimals, markdown_table
 from torchrefrac.sweeps.pictured import FIGURES, shown_together
 from torchrefrac.sweeps.units import error_text, in_header, unit_of
@@ -32,7 +32,7 @@ def compare(runs: Sequence[Path], folder: Path) -> str:
     other values, figure1_SCENE_VALUE.png, where 2 to 6 runs share these. There is no table of theirs: the text returned
     is empty, and a table1.md that an earlier sweep left is removed. See `sweep.write_summary`.
     """
-    jobs = load_jobs(runs)
+    jobs = load_runs(runs)
     design = what_varied(jobs)
     for end, shown in shown_together(jobs, design).items():
         _draw([job for job in shown if _has_results(job)], folder, end)
@@ -50,16 +50,15 @@ def compare(runs: Sequence[Path], folder: Path) -> str:
     return table
 
 
-def _has_results(job: Job) -> bool:
+def _has_results(job: RunRecord) -> bool:
     return all((job.folder / name).is_file() for name in ("cameras.json", "points.ply"))
 
 
-def _draw(jobs: Sequence[Job], folder: Path, end: str) -> None:
+def _draw(jobs: Sequence[RunRecord], folder: Path, end: str) -> None:
     """The figures of jobs with one capture; none without jobs."""
     if not jobs:
         return
-    capture = jobs[0].metrics.get("capture")
-    truth = load_truth(Path(capture)) if isinstance(capture, str) else None
+    truth = load_truth(jobs[0].capture) if jobs[0].capture is not None else None
     names = [f"{kind}{end}" for kind in FIGURES]
     views, dense = [], []
     for job, title in zip(jobs, _titles(jobs), strict=True):
@@ -75,7 +74,7 @@ def _draw(jobs: Sequence[Job], folder: Path, end: str) -> None:
 
 
 def _draw_dense(
-    shown: Sequence[tuple[str, Job, Reconstruction, Similarity | None]],
+    shown: Sequence[tuple[str, RunRecord, Reconstruction, Similarity | None]],
     truth: Truth | None,
     views_path: Path,
     map_path: Path,
@@ -91,12 +90,12 @@ def _draw_dense(
         draw_error_map(panels, truth, map_path)
 
 
-def _titles(jobs: Sequence[Job]) -> list[str]:
+def _titles(jobs: Sequence[RunRecord]) -> list[str]:
     """Model, with the dense method where there are several, and with the run folder where that is not unique."""
     return _told_apart(_names(jobs), jobs)
 
 
-def _labels(jobs: Sequence[Job]) -> list[str]:
+def _labels(jobs: Sequence[RunRecord]) -> list[str]:
     """The same for a table, with the scene before it where there are several."""
     labels = _names(jobs)
     if len(scenes_of(job for job in jobs if job.is_complete)) > 1:
@@ -104,7 +103,7 @@ def _labels(jobs: Sequence[Job]) -> list[str]:
     return _told_apart(labels, jobs)
 
 
-def _names(jobs: Sequence[Job]) -> list[str]:
+def _names(jobs: Sequence[RunRecord]) -> list[str]:
     names = [TITLES.get(job.model, job.model or "unknown") for job in jobs]
     methods = [job.metrics.get("dense_method") for job in jobs]
     if len(set(methods)) == 1:
@@ -112,13 +111,13 @@ def _names(jobs: Sequence[Job]) -> list[str]:
     return [name + (f", {method}" if method else "") for method, name in zip(methods, names, strict=True)]
 
 
-def _told_apart(words: list[str], jobs: Sequence[Job]) -> list[str]:
+def _told_apart(words: list[str], jobs: Sequence[RunRecord]) -> list[str]:
     if len(set(words)) == len(words):
         return words
     return [f"{word} [{job.folder.name}]" for word, job in zip(words, jobs, strict=True)]
 
 
-def _table(jobs: Sequence[Job], labels: Sequence[str]) -> str:
+def _table(jobs: Sequence[RunRecord], labels: Sequence[str]) -> str:
     """One line a run, in Markdown that reads well in a terminal too.
 
     Camera RMS after alignment, median distance of the points from their true places (where only the surface is known,
@@ -141,7 +140,7 @@ def _table(jobs: Sequence[Job], labels: Sequence[str]) -> str:
     return markdown_table(header, rows)
 
 
-def _dense_table(jobs: Sequence[tuple[Job, str]]) -> str:
+def _dense_table(jobs: Sequence[tuple[RunRecord, str]]) -> str:
     """The same of dense surfaces.
 
     Share of the points that lie near the true surface, share of the textured true surface that has points near it
@@ -162,7 +161,7 @@ def _dense_table(jobs: Sequence[tuple[Job, str]]) -> str:
     return markdown_table(header, rows)
 
 
-def _rounded(job: Job, name: str, places: int = 0) -> str:
+def _rounded(job: RunRecord, name: str, places: int = 0) -> str:
     value = job.number(name)
     return "-" if value is None else f"{value:.{places}f}"
 

@@ -9,8 +9,9 @@ from typing import Any
 from torchrefrac.atomic import replacing
 from torchrefrac.figures.panels import blank_figure
 from torchrefrac.figures.side_views import INK
+from torchrefrac.files.run import RunRecord
 from torchrefrac.sweeps.axes import set_heights, set_places
-from torchrefrac.sweeps.jobs import Design, Job, scenes_of
+from torchrefrac.sweeps.design import Design, scenes_of
 from torchrefrac.sweeps.lines import Line, Spot, lines_of, places_of, spots_of
 from torchrefrac.sweeps.marks import draw_spots, draw_true_ratio, legend_handles
 from torchrefrac.sweeps.units import unit_of
@@ -57,7 +58,7 @@ class Cell:
         return [value for spots in self.spots for spot in spots for value in spot.values]
 
 
-def draw_sweep(jobs: Sequence[Job], design: Design, path: Path) -> bool:
+def draw_sweep(jobs: Sequence[RunRecord], design: Design, path: Path) -> bool:
     """Write the figure; returns False, and writes none, where no job is complete.
 
     Scenes of which no job is complete are left out. Rows are the errors against truth that the jobs have, else what can
@@ -77,7 +78,7 @@ def draw_sweep(jobs: Sequence[Job], design: Design, path: Path) -> bool:
     figure = blank_figure(width + 0.7, blocks * (PANEL_HEIGHT * len(measures) + 0.4) + legend)
     grid = figure.subplots(blocks * len(measures), columns, squeeze=False)
     # A job that tells nothing of itself may belong anywhere: each line is broken where it lacks a place of the others.
-    is_torn = design.x is not None and any(not (job.settings or job.is_complete) for job in jobs)
+    is_torn = design.x is not None and any(not (job.overrides or job.is_complete) for job in jobs)
     expected = places_of(lines, design.x) if is_torn and design.x is not None else []
     for row, measure in enumerate(measures):
         cells = [_cell(measure, complete, lines, scene, design, expected) for scene in scenes]
@@ -105,7 +106,7 @@ def draw_sweep(jobs: Sequence[Job], design: Design, path: Path) -> bool:
     return True
 
 
-def measures_of(jobs: Sequence[Job]) -> list[Measure]:
+def measures_of(jobs: Sequence[RunRecord]) -> list[Measure]:
     """The rows of the figure; empty without complete jobs."""
     found = []
     for stems, title in AGAINST_TRUTH:
@@ -119,7 +120,7 @@ def measures_of(jobs: Sequence[Job]) -> list[Measure]:
 
 def _cell(
     measure: Measure,
-    complete: Sequence[Job],
+    complete: Sequence[RunRecord],
     lines: Sequence[Line],
     scene: str,
     design: Design,

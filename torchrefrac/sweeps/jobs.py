@@ -1,172 +1,117 @@
-"""The jobs of a sweep as their folders tell of them, and what was varied between them."""
+"""The jobs of a sweep, as its folder remembers them in sweep.json, and how each has ended; imports nothing slow."""
 
 import json
-import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, TypeGuard
 
-COMPLETE, FAILED, RUNNING = "complete", "failed", "running"
-UNSAID = ("out", "hydra")  # keys of a command line that say nothing about the result, with all below them
-PLACES = ("scene.path", "scene.name")  # told by the scene's name already
-METHOD = ("dense", "dense.method")  # which dense stage: told by the metric dense_method
+from torchrefrac.atomic import replacing
+from torchrefrac.files.run import METRICS, RunRecord, RunRecordError, RunStatus
+
+MEMORY = "sweep.json"
+NO_SETTINGS = ("out", "cache", "quiet", "report")  # say where a job is kept and what it prints, not what it is
 
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a sweep: its folder, what was asked for (`settings`, by key) and what came out (`metrics`).
+    """One run of a sweep, as it was planned; a `RunRecord` says how it ended.
 
-    `metrics` is empty where metrics.json could not be read; status and reason say so. model and scene are empty where
-    nothing tells of them.
+    folder: its name in the folder of the sweep, overrides: what its command line says, label: what of that differs
+    between the jobs. reason: why it failed, where it could leave no metrics.json.
     """
 
-    folder: Path
-    status: str
-    reason: str
-    scene: str
-    model: str
-    settings: Mapping[str, str]
-    metrics: Mapping[str, Any]
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether the job has results to show."""
-        return self.status == COMPLETE
-
-    def number(self, name: str) -> float | None:
-        """A metric as a finite number; None where there is none."""
-        value = self.metrics.get(name)
-        return float(value) if is_number(value) else None
+    folder: str
+    overrides: tuple[str, ...]
+    label: str
+    reason: str = ""
 
 
-@dataclass(frozen=True)
-class Design:
-    """What differs between the jobs, by keys of the command line beside scene and model.
-
-    x: what the figures have along their horizontal axis, None without a number that was varied; told_apart: every other
-    key, in the order of the command line; averaged: seeds, which are alike.
-    """
-
-    x: str | None
-    told_apart: tuple[str, ...]
-    averaged: tuple[str, ...]
-
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """All of them, x first."""
-        return (*([self.x] if self.x else []), *self.told_apart, *self.averaged)
+def plan(overrides: Sequence[Sequence[str]], models: Sequence[str]) -> tuple[Job, ...]:
+    """Jobs with folders NUMBER_MODEL, numbered from 0 with as many digits as the last needs, so that they sort."""
+    chosen = [tuple(text for text in job if text.partition("=")[0] not in NO_SETTINGS) for job in overrides]
+    digits = len(str(len(chosen) - 1))
+    return tuple(
+        Job(f"{i:0{digits}}_{re.sub(r'[^A-Za-z0-9.+-]', '-', model)}", job, label)
+        for i, (job, model, label) in enumerate(zip(chosen, models, _labels(chosen), strict=True))
+    )
 
 
-def load_jobs(runs: Sequence[Path]) -> list[Job]:
-    """The jobs in the order of `runs`; one whose metrics.json is missing or damaged has failed, for that reason."""
-    return [load_job(run) for run in runs]
+def by_name(overrides: Iterable[str]) -> dict[str, str]:
+    """The overrides of a job by their names, as metrics.json keeps them."""
+    pairs = (text.partition("=") for text in overrides)
+    return {key: value for key, _, value in pairs if key not in NO_SETTINGS}
 
 
-def load_job(run: Path) -> Job:
-    """The job whose folder is `run`; see load_jobs."""
-    metrics, reason = _read(run / "metrics.json")
-    overrides = metrics.get("overrides")
-    said = {str(key): str(value) for key, value in overrides.items()} if isinstance(overrides, dict) else {}
-    capture = metrics.get("capture") or said.get("scene.path")
-    scene = metrics.get("scene") or (Path(capture).name if isinstance(capture, str) else "") or said.get("scene", "")
-    if "scene.path" in said and scene == said.get("scene"):
-        scene = Path(said["scene.path"]).name
-    model = metrics.get("model") or said.get("model", "")
-    status = FAILED if reason else str(metrics.get("status", FAILED))
-    if status == RUNNING:
-        status, reason = FAILED, "came to a sudden end, or is still running"
-    if status != COMPLETE and not reason:
-        reason = " ".join(str(metrics.get("reason") or "metrics.json gives no reason").split())
-    return Job(run, status, reason, str(scene), str(model), said, metrics)
-
-
-def _read(path: Path) -> tuple[dict[str, Any], str]:
-    """The content of a metrics.json, and why there is none."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}, "metrics.json is missing"
-    except OSError as error:
-        return {}, f"metrics.json cannot be read: {error.strerror}"
-    except ValueError as error:  # no JSON, or no UTF-8
-        return {}, f"metrics.json is damaged: {' '.join(str(error).split())}"
-    if not isinstance(content, dict):
-        return {}, "metrics.json is damaged: it must be an object"
-    return content, ""
-
-
-def what_varied(jobs: Sequence[Job]) -> Design:
-    """What differs between the jobs; of those whose command line is unknown nothing is concluded.
-
-    An index ratio goes along the axis if there is one, else the number with the most values. Numbers are what complete
-    jobs have as numbers: a failed one may have anything.
-    """
-    known = [job for job in jobs if job.settings]
-    keys = dict.fromkeys(key for job in known for key in job.settings)
-    varied = [key for key in keys if _says_something(key) and len({job.settings.get(key) for job in known}) > 1]
-    varied = [key for key in varied if key not in PLACES or not _follows_scene(known, key)]
-    averaged = tuple(key for key in varied if short_key(key) == "seed")
-    others = [key for key in varied if key not in averaged]
-    numeric = [key for key in others if _is_numeric(known, key)]
-    numeric.sort(key=lambda key: (not key.endswith("index_ratio"), -len({job.settings.get(key) for job in known})))
-    x = numeric[0] if numeric else None
-    return Design(x, tuple(key for key in others if key != x), averaged)
-
-
-def _says_something(key: str) -> bool:
-    return key not in ("scene", "model") and key.partition(".")[0] not in UNSAID
-
-
-def _follows_scene(jobs: Sequence[Job], key: str) -> bool:
-    """Whether no two values of the key have the same scene."""
-    pairs = {(job.scene, job.settings.get(key)) for job in jobs}
-    return len({scene for scene, _ in pairs}) == len(pairs)
-
-
-def _is_numeric(jobs: Sequence[Job], key: str) -> bool:
-    values = [value_of(job, key) for job in jobs if job.is_complete]
-    return bool(values) and None not in values
-
-
-def value_of(job: Job, key: str) -> float | None:
-    """What the job's command line says of the key, as a finite number; None where it is none."""
-    try:
-        value = float(job.settings.get(key, ""))
-    except ValueError:
+def read_sweep(folder: Path) -> tuple[Job, ...] | None:
+    """The jobs that `folder` remembers; None where it holds no sweep. Raises ValueError where sweep.json is damaged."""
+    path = folder / MEMORY
+    if not path.is_file():
         return None
-    return value if math.isfinite(value) else None
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))["jobs"]
+        return tuple(Job(**entry | {"overrides": tuple(entry["overrides"])}) for entry in entries)
+    except (ValueError, KeyError, TypeError):
+        raise ValueError(f"{path} is damaged; delete it, or give another folder as out=DIR") from None
 
 
-def is_number(value: object) -> TypeGuard[int | float]:
-    """Whether a value of metrics.json is a finite number."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+def write_sweep(jobs: Sequence[Job], folder: Path) -> None:
+    """Write sweep.json, whole or not at all."""
+    with replacing(folder / MEMORY) as temporary:
+        temporary.write_text(json.dumps({"jobs": [asdict(job) for job in jobs]}, indent=1) + "\n", encoding="utf-8")
 
 
-def short_key(key: str) -> str:
-    """The last part of a dotted key."""
-    return key.rsplit(".", 1)[-1]
+def remembered(jobs: Sequence[Job], known: Sequence[Job]) -> tuple[Job, ...] | None:
+    """`jobs` in their own order, with the folders that `known` gave them; None where it holds other jobs."""
+    folders = {frozenset(job.overrides): job.folder for job in known}
+    if len(jobs) != len(known) or {frozenset(job.overrides) for job in jobs} != set(folders):
+        return None
+    return tuple(replace(job, folder=folders[frozenset(job.overrides)]) for job in jobs)
 
 
-def short_keys(keys: Sequence[str]) -> dict[str, str]:
-    """A short name for each key: its last part where that is unique."""
-    last = [short_key(key) for key in keys]
-    return {
-        key: name if last.count(name) == 1 and name not in ("scene", "model") else key
-        for key, name in zip(keys, last, strict=True)
-    }
+def find_job(run: Path) -> tuple[int, int, Job] | None:
+    """Position (from 1) and number of the sweep's jobs, and the job, whose folder `run` is; None outside a sweep."""
+    jobs = read_sweep(run.parent) or ()
+    return next(((i + 1, len(jobs), job) for i, job in enumerate(jobs) if job.folder == run.name), None)
 
 
-def has_paper_form(design: Design) -> bool:
-    """Whether only scene, model and dense method vary, as in the paper's Table 1."""
-    return all(key in METHOD for key in design.keys)
+def record_of(job: Job, folder: Path) -> RunRecord:
+    """How the job ended; of status UNKNOWN where it did not begin, or ended without a record of it."""
+    try:
+        return RunRecord.read(folder / job.folder)
+    except RunRecordError:
+        return RunRecord(folder / job.folder, RunStatus.FAILED if job.reason else RunStatus.UNKNOWN, reason=job.reason)
 
 
-def failed_first(jobs: Sequence[Job]) -> list[Job]:
-    """The same jobs, those without results before the others."""
-    return sorted(jobs, key=lambda job: job.is_complete)
+def jobs_and_records(folder: Path) -> tuple[list[Job], list[RunRecord]]:
+    """What sweep.json and the folders of its jobs say; without one, every folder that holds metrics."""
+    jobs = list(read_sweep(folder) or ())
+    if not jobs:
+        names = sorted((path.parent.name for path in folder.glob(f"*/{METRICS}")), key=_number)
+        jobs = [Job(name, (), name) for name in names]
+    return jobs, [record_of(job, folder) for job in jobs]
 
 
-def scenes_of(jobs: Iterable[Job]) -> list[str]:
-    """The names of the scenes, in the order of the jobs."""
-    return list(dict.fromkeys(job.scene for job in jobs))
+def ending(position: int, total: int, job: Job, record: RunRecord) -> str:
+    """One line on a job that has come to its end."""
+    line = f"{opening(position, total, job)}: {record.status}"
+    if record.reason:
+        return f"{line}: {record.reason}"
+    seconds = record.number("seconds_total")
+    return line if seconds is None else f"{line} in {seconds:.1f} s"
+
+
+def opening(position: int, total: int, job: Job) -> str:
+    """Which of the jobs it is, and what it does."""
+    return f"{position:>{len(str(total))}}/{total}  {job.label}"
+
+
+def _labels(jobs: Sequence[Sequence[str]]) -> list[str]:
+    """The overrides that not all jobs share; all of them for a job alone."""
+    common = set(jobs[0]).intersection(*jobs[1:]) if len(jobs) > 1 else set[str]()
+    return [" ".join(text for text in job if text not in common) or "defaults" for job in jobs]
+
+
+def _number(name: str) -> tuple[int, str]:
+    first = name.split("_", maxsplit=1)[0]
+    return (int(first) if first.isdigit() else 10**9), name

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from torchrefrac.figures.side_views import MODEL_COLORS, TITLES
-from torchrefrac.sweeps.jobs import Design, Job, short_keys, value_of
+from torchrefrac.files.run import RunRecord
+from torchrefrac.sweeps.design import Design, short_keys, value_of
 
 OTHER_COLORS = ("#cc79a7", "#e69f00", "#56b4e9", "#000000")
 MARKERS = {"none": "o", "radial": "s", "refractive": "D"}
@@ -20,7 +21,7 @@ class Line:
     color: tuple[float, float, float]
     marker: str
     dash: str | tuple[float, tuple[float, ...]]
-    jobs: tuple[Job, ...]
+    jobs: tuple[RunRecord, ...]
 
 
 @dataclass(frozen=True)
@@ -41,15 +42,15 @@ class Spot:
         return sum(self.values) / len(self.values) if self.values else float("nan")
 
 
-def lines_of(jobs: Sequence[Job], design: Design) -> list[Line]:
+def lines_of(jobs: Sequence[RunRecord], design: Design) -> list[Line]:
     """A line for each model and each combination of what else is told apart, in the order of the jobs.
 
     A model has the same colour in all figures; several lines of one model differ by shade and dashes.
     """
-    told = [job for job in jobs if job.model or job.settings]
-    groups: dict[tuple[str, ...], list[Job]] = {}
+    told = [job for job in jobs if job.model or job.overrides]
+    groups: dict[tuple[str, ...], list[RunRecord]] = {}
     for job in told:
-        groups.setdefault((job.model, *(job.settings.get(key, "") for key in design.told_apart)), []).append(job)
+        groups.setdefault((job.model, *(job.overrides.get(key, "") for key in design.told_apart)), []).append(job)
     models = list(dict.fromkeys(job.model for job in told))
     strangers = [model for model in models if model not in MODEL_COLORS]
     lines = []
@@ -78,7 +79,7 @@ def spots_of(
 
     There is an empty spot at each place of `expected` where the line has no job.
     """
-    places: dict[float, list[Job]] = {place: [] for place in expected}
+    places: dict[float, list[RunRecord]] = {place: [] for place in expected}
     for job in line.jobs:
         place = position if x is None else value_of(job, x)
         if job.scene == scene and place is not None:
@@ -86,7 +87,7 @@ def spots_of(
     return [_spot(place, places[place], metric) for place in sorted(places)]
 
 
-def _spot(place: float, jobs: Sequence[Job], metric: str) -> Spot:
+def _spot(place: float, jobs: Sequence[RunRecord], metric: str) -> Spot:
     shown = [(job, value) for job in jobs if job.is_complete and (value := measured(job, metric)) is not None]
     return Spot(
         place,
@@ -96,18 +97,18 @@ def _spot(place: float, jobs: Sequence[Job], metric: str) -> Spot:
     )
 
 
-def measured(job: Job, metric: str) -> float | None:
+def measured(job: RunRecord, metric: str) -> float | None:
     """A metric of the job, or the share of registered images."""
     return registered_share(job) if metric == "registered_share" else job.number(metric)
 
 
-def registered_share(job: Job) -> float | None:
+def registered_share(job: RunRecord) -> float | None:
     """Registered images of all, in per cent."""
     registered, images = job.number("registered_images"), job.number("images")
     return 100.0 * registered / images if registered is not None and images else None
 
 
-def is_partial(job: Job) -> bool:
+def is_partial(job: RunRecord) -> bool:
     """Whether images of the job are known to have no place."""
     share = registered_share(job)
     return share is not None and share < 100.0

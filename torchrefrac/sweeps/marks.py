@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from torchrefrac.figures.side_views import INK
-from torchrefrac.sweeps.jobs import Design, Job, value_of
+from torchrefrac.files.run import RunRecord
+from torchrefrac.sweeps.design import Design, value_of
 from torchrefrac.sweeps.lines import Line, Spot, is_partial
 
 SCENE_RATIO = "scene.index_ratio"
@@ -17,7 +18,7 @@ def assumes_ratio(design: Design) -> bool:
     return design.x is not None and design.x.endswith("index_ratio") and design.x != SCENE_RATIO
 
 
-def has_air(jobs: Sequence[Job], design: Design) -> bool:
+def has_air(jobs: Sequence[RunRecord], design: Design) -> bool:
     """Whether the axis is the true index ratio, and 1, no refraction at all, is among its values."""
     return design.x == SCENE_RATIO and any(value_of(job, SCENE_RATIO) == 1.0 for job in jobs)
 
@@ -63,7 +64,7 @@ def _mark_smallest(panel: Any, spots: Sequence[Spot], line: Line, is_named: bool
         )
 
 
-def draw_true_ratio(panel: Any, jobs: Sequence[Job], design: Design) -> None:
+def draw_true_ratio(panel: Any, jobs: Sequence[RunRecord], design: Design) -> None:
     """A vertical line: the scene's true index ratio over assumed ones, or, over true ones, that of no water."""
     if assumes_ratio(design):
         for ratio in sorted({ratio for job in jobs if (ratio := job.number("true_index_ratio")) is not None}):
@@ -74,7 +75,7 @@ def draw_true_ratio(panel: Any, jobs: Sequence[Job], design: Design) -> None:
         panel.axvline(1.0, zorder=1, **AIR_STYLE)
 
 
-def legend_handles(jobs: Sequence[Job], design: Design, lines: Sequence[Line]) -> list[Any]:
+def legend_handles(jobs: Sequence[RunRecord], design: Design, lines: Sequence[Line]) -> list[Any]:
     """What the figure's marks mean; lines only where the axis does not name them."""
     from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
 

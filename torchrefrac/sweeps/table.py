@@ -5,9 +5,10 @@ import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from torchrefrac.files.run import RunRecord, is_number
 from torchrefrac.record.terminal import WIDTH
+from torchrefrac.sweeps.design import Design, failed_first, scenes_of, short_keys
 from torchrefrac.sweeps.figure import measures_of
-from torchrefrac.sweeps.jobs import Design, Job, failed_first, is_number, scenes_of, short_keys
 from torchrefrac.sweeps.markdown import markdown_table
 from torchrefrac.sweeps.units import error_text, in_header
 
@@ -21,11 +22,11 @@ class Column:
     """A column of the table: names from long to short, what a job has in it; is_spare: may go where width is short."""
 
     names: tuple[str, ...]
-    cell: Callable[[Job], str]
+    cell: Callable[[RunRecord], str]
     is_spare: bool = False
 
 
-def csv_text(jobs: Sequence[Job], design: Design) -> str:
+def csv_text(jobs: Sequence[RunRecord], design: Design) -> str:
     """Failed jobs first, then all others: what they are, what varied, and every metric that is a number, by name.
 
     A cell is empty where a job lacks the value.
@@ -38,13 +39,13 @@ def csv_text(jobs: Sequence[Job], design: Design) -> str:
     writer.writerow([*ABOUT, *varied, *numbers])
     for job in failed_first(jobs):
         about = [job.folder.name, job.status, job.reason, job.scene, job.model]
-        settings = [job.settings.get(key, "") for key in varied]
+        settings = [job.overrides.get(key, "") for key in varied]
         metrics = [job.metrics[name] if is_number(job.metrics.get(name)) else "" for name in numbers]
         writer.writerow([*about, *settings, *metrics])
     return text.getvalue()
 
 
-def results_table(jobs: Sequence[Job], design: Design) -> str:
+def results_table(jobs: Sequence[RunRecord], design: Design) -> str:
     """The complete jobs in Markdown, at most as wide as a terminal for usual sweeps; empty without such jobs.
 
     Names are shortened and spare columns left out, the last first, until it fits.
@@ -66,7 +67,7 @@ def results_table(jobs: Sequence[Job], design: Design) -> str:
     return table
 
 
-def _columns(complete: Sequence[Job], jobs: Sequence[Job], design: Design) -> list[Column]:
+def _columns(complete: Sequence[RunRecord], jobs: Sequence[RunRecord], design: Design) -> list[Column]:
     short = short_keys(design.keys)
     columns = []
     if len(scenes_of(complete)) > 1:
@@ -92,7 +93,7 @@ def _columns(complete: Sequence[Job], jobs: Sequence[Job], design: Design) -> li
     return columns
 
 
-def _render(columns: Sequence[Column], jobs: Sequence[Job], shortness: int) -> str:
+def _render(columns: Sequence[Column], jobs: Sequence[RunRecord], shortness: int) -> str:
     header = [column.names[min(shortness, len(column.names) - 1)] for column in columns]
     return markdown_table(header, [[column.cell(job) for column in columns] for job in jobs])
 
@@ -101,17 +102,17 @@ def _width(table: str) -> int:
     return max(map(len, table.splitlines()))
 
 
-def _setting(key: str) -> Callable[[Job], str]:
-    return lambda job: job.settings.get(key) or NOTHING
+def _setting(key: str) -> Callable[[RunRecord], str]:
+    return lambda job: job.overrides.get(key) or NOTHING
 
 
-def _registered(job: Job) -> str:
+def _registered(job: RunRecord) -> str:
     counts = (job.number("registered_images"), job.number("images"))
     return "/".join(NOTHING if count is None else f"{count:.0f}" for count in counts)
 
 
-def _metric(name: str) -> Callable[[Job], str]:
-    def cell(job: Job) -> str:
+def _metric(name: str) -> Callable[[RunRecord], str]:
+    def cell(job: RunRecord) -> str:
         value = job.number(name)
         if value is None:
             return NOTHING
@@ -120,15 +121,15 @@ def _metric(name: str) -> Callable[[Job], str]:
     return cell
 
 
-def _error(stem: str, jobs: Sequence[Job]) -> Callable[[Job], str]:
+def _error(stem: str, jobs: Sequence[RunRecord]) -> Callable[[RunRecord], str]:
     return lambda job: error_text(job, jobs, stem)
 
 
-def _estimated(job: Job) -> str:
+def _estimated(job: RunRecord) -> str:
     ratio = job.number("index_ratio") if job.number("index_ratio_sigma") is not None else None
     return NOTHING if ratio is None else f"{ratio:.4f}"
 
 
-def _seconds(job: Job) -> str:
+def _seconds(job: RunRecord) -> str:
     seconds = job.number("seconds_total")
     return NOTHING if seconds is None else f"{seconds:.1f}"

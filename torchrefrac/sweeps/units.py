@@ -2,30 +2,30 @@
 
 from collections.abc import Iterable, Sequence
 
-from torchrefrac.sweeps.jobs import Job
+from torchrefrac.files.run import RunRecord
 from torchrefrac.sweeps.markdown import decimals
 
 
-def unit_of(jobs: Iterable[Job], stem: str) -> str:
+def unit_of(jobs: Iterable[RunRecord], stem: str) -> str:
     """The length unit that ends the names of the metric `stem`_UNIT; empty where no job has it."""
     names = (name for job in jobs for name in job.metrics)
     return next((unit for name in names if (unit := _unit_after(name, stem))), "")
 
 
-def in_header(title: str, jobs: Sequence[Job], stem: str) -> str:
+def in_header(title: str, jobs: Sequence[RunRecord], stem: str) -> str:
     """A column's title, with the unit where that is the same for all jobs."""
     units = _units(jobs, stem)
     return f"{title} ({units.pop()})" if len(units) == 1 else title
 
 
-def error_text(job: Job, jobs: Sequence[Job], stem: str) -> str:
+def error_text(job: RunRecord, jobs: Sequence[RunRecord], stem: str) -> str:
     """What a job has of the metric `stem`_UNIT, with the unit where the header of all `jobs` cannot name it."""
     unit = unit_of([job], stem)
     value = job.number(f"{stem}_{unit}")
     return decimals(value) + (f" {unit}" if value is not None and len(_units(jobs, stem)) > 1 else "")
 
 
-def _units(jobs: Sequence[Job], stem: str) -> set[str]:
+def _units(jobs: Sequence[RunRecord], stem: str) -> set[str]:
     return {unit_of([job], stem) for job in jobs} - {""}
 
 

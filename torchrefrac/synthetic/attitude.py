@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.geometry import so3_exp, split_heading
@@ -16,18 +17,18 @@ MOST_SIGMA_DEG = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """Of m cameras: true_down (m, 3), measured down_in_cam (m, 3), unit vectors; measured heading (m) in radians, None
-    without a compass; sigma_deg: what to expect of the error of down_in_cam about each axis, as an angle to the
-    perpendicular of the water surface."""
+    """Of m cameras: true_down and measured down_in_cam, unit vectors; measured heading in radians, None without a
+    compass; sigma_deg: what to expect of the error of down_in_cam about each axis, as an angle to the perpendicular of
+    the water surface."""
 
-    true_down: Tensor
-    down_in_cam: Tensor
-    heading: Tensor | None
+    true_down: Float[Tensor, "m 3"]
+    down_in_cam: Float[Tensor, "m 3"]
+    heading: Float[Tensor, " m"] | None
     sigma_deg: float
 
 
-def measure_attitude(rotation: Tensor, options: SyntheticOptions) -> Attitude:
-    """What the sensors say of cameras with `cam_from_world` rotation (m, 3, 3).
+def measure_attitude(rotation: Float[Tensor, "m 3 3"], options: SyntheticOptions) -> Attitude:
+    """What the sensors say of cameras with `cam_from_world` rotation.
 
     True gravity departs from the perpendicular of the water by `plane_tilt_deg`, the same way for all images; what is
     measured departs from it by the bias, in the camera's frame, and by an error of each image's own.
@@ -49,8 +50,8 @@ def measure_attitude(rotation: Tensor, options: SyntheticOptions) -> Attitude:
     return Attitude(true_down, measured, sensed, _expected_sigma_deg(inertial, options.plane_tilt_deg))
 
 
-def measure_positions(center: Tensor, sigma: float, seed: int) -> Tensor:
-    """Satellite positions (m, 3) of cameras at center (m, 3), each coordinate with standard deviation sigma."""
+def measure_positions(center: Float[Tensor, "m 3"], sigma: float, seed: int) -> Float[Tensor, "m 3"]:
+    """Satellite positions of cameras at center, each coordinate with standard deviation sigma."""
     error = torch.randn(center.shape, generator=seeded(seed, "positions"), dtype=torch.float64)
     return center + sigma * error
 

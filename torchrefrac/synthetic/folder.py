@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
@@ -34,8 +35,8 @@ def image_names(count: int) -> tuple[str, ...]:
     return tuple(f"cam{i:0{digits}d}.png" for i in range(count))
 
 
-def write_photograph(image: np.ndarray, path: Path) -> None:
-    """Write RGB (H, W, 3) uint8 as PNG."""
+def write_photograph(image: UInt8[np.ndarray, "height width 3"], path: Path) -> None:
+    """Write RGB as PNG."""
     _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
     with replacing(path) as temporary:
         temporary.write_bytes(encoded.tobytes())
@@ -47,10 +48,15 @@ def write_json(content: dict[str, Any], path: Path) -> None:
 
 
 def capture_content(
-    stage: Stage, options: SyntheticOptions, lens: Intrinsics, attitude: Attitude, positions: Tensor | None
+    stage: Stage,
+    options: SyntheticOptions,
+    intrinsics: Intrinsics,
+    attitude: Attitude,
+    positions: Float[Tensor, "m 3"] | None,
 ) -> dict[str, Any]:
     """`capture.json`: the index ratio is the true one, only the first height above the water is measured."""
     images: list[dict[str, Any]] = []
+    focal, principal_point = intrinsics.focal.tolist(), intrinsics.principal_point.tolist()
     for i, name in enumerate(image_names(len(stage.center))):
         image: dict[str, Any] = {"name": name, "down_in_cam": attitude.down_in_cam[i].tolist()}
         if attitude.heading is not None:
@@ -66,10 +72,10 @@ def capture_content(
         "index_ratio": options.index_ratio,
         "pixel_origin": "corner",
         "intrinsics": {
-            "width": lens.width,
-            "height": lens.height,
-            **dict(zip(("fx", "fy", "cx", "cy"), (*lens.focal.tolist(), *lens.principal_point.tolist()), strict=True)),
-            "distortion": lens.distortion.tolist(),
+            "width": intrinsics.width,
+            "height": intrinsics.height,
+            **dict(zip(("fx", "fy", "cx", "cy"), (*focal, *principal_point), strict=True)),
+            "distortion": intrinsics.distortion.tolist(),
         },
         "down_in_cam_sigma_deg": attitude.sigma_deg,
         "images": images,
@@ -105,8 +111,8 @@ def truth_content(stage: Stage, options: SyntheticOptions, attitude: Attitude) -
     }
 
 
-def survey_content(positions: Tensor, sigma: float) -> dict[str, Any]:
-    """`survey.json`: the satellite positions (m, 3) of all images."""
+def survey_content(positions: Float[Tensor, "m 3"], sigma: float) -> dict[str, Any]:
+    """`survey.json`: the satellite positions of all images."""
     names = image_names(len(positions))
     return {
         "format": SURVEY_FORMAT,
@@ -121,8 +127,8 @@ def options_content(options: SyntheticOptions, version: int) -> dict[str, Any]:
 
 def write_truth_points(photographer: Photographer, path: Path) -> None:
     """Write `truth_points.npz`: what every fourth pixel of every fourth row truly sees, at its centre."""
-    stage, lens = photographer.stage, photographer.lens
-    columns, rows = (range(min(OFFSET, size - 1), size, STEP) for size in (lens.width, lens.height))
+    stage, intrinsics = photographer.stage, photographer.intrinsics
+    columns, rows = (range(min(OFFSET, size - 1), size, STEP) for size in (intrinsics.width, intrinsics.height))
     x, y = (torch.tensor(numbers, dtype=torch.float64) + 0.5 for numbers in (columns, rows))
     pixels = torch.stack((x.expand(len(rows), -1), y[:, None].expand(-1, len(columns))), dim=-1).flatten(0, 1)
     plane_of_piece = torch.tensor([*_plane_numbers(stage.pieces), -1])

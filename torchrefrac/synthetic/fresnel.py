@@ -1,10 +1,11 @@
 """How much light a water surface mirrors."""
 
+from jaxtyping import Float
 from torch import Tensor
 
 
-def reflectance(cosine: Tensor, index_ratio: float) -> Tensor:
-    """Share (*B) of unpolarised light that is mirrored where it comes from air with `cosine` of incidence (*B).
+def reflectance(cosine: Float[Tensor, "*batch"], index_ratio: float) -> Float[Tensor, "*batch"]:
+    """Share of unpolarised light that is mirrored where it comes from air with `cosine` of incidence.
 
     Fresnel's equations (Born & Wolf, Principles of Optics, section 1.5.2): the mean of both polarisations.
     """

@@ -93,7 +93,7 @@ def render_scene(stage: Stage, options: SyntheticOptions, cache: Path, recorder:
 
 
 def _render(photographer: Photographer, options: SyntheticOptions, folder: Path, recorder: Recorder) -> None:
-    stage, lens = photographer.stage, photographer.lens
+    stage = photographer.stage
     for left_over in folder.glob("**/.*.partial.*"):
         left_over.unlink()
     attitude = measure_attitude(stage.rotation, options)
@@ -103,7 +103,7 @@ def _render(photographer: Photographer, options: SyntheticOptions, folder: Path,
         positions = measure_positions(stage.center, stage.position_sigma, options.seed)
         write_json(survey_content(positions, stage.position_sigma), folder / "survey.json")
     write_json(options_content(options, VERSION), folder / "scene.json")
-    write_json(capture_content(stage, options, lens, attitude, positions), folder / "capture.json")
+    write_json(capture_content(stage, options, photographer.intrinsics, attitude, positions), folder / "capture.json")
     write_json(truth_content(stage, options, attitude), folder / "truth.json")
     names = image_names(len(stage.center))
     for image, name in recorder.track(enumerate(names), len(names), f"rendering {options.label}", "image"):

@@ -53,7 +53,7 @@ class CameraOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorOptions:
-    """samples x samples rays a pixel; blur: standard deviation of the lens's spot in pixels, noise: of a grey value."""
+    """samples x samples rays a pixel; blur: standard deviation of the optics' spot (pixels), noise: of a grey value."""
 
     samples: int = 4
     blur: float = 0.4
@@ -70,7 +70,7 @@ class SensorOptions:
 class InertialOptions:
     """Errors of what the camera says of its attitude.
 
-    gravity_sigma_deg: standard deviation of the angle about each axis across the vertical, for each image anew;
+    gravity_sigma_deg: standard deviation of the angle about each axis across the vertical, of each image's own;
     gravity_bias_deg: the same turn (about the camera's x and y axes) in all images, such as of a sensor that is mounted
     askew; heading_sigma_deg: of the compass heading (None: there is no compass).
     """

@@ -4,16 +4,21 @@ import math
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 
 def look_at(
-    center: Tensor, target: Tensor, roll: Tensor | float = 0.0, *, up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-) -> Tensor:
-    """`cam_from_world` (*B, 3, 3) of cameras at center (*B, 3) that look at target (*B, 3).
+    center: Float[Tensor, "*#batch 3"],
+    target: Float[Tensor, "*#batch 3"],
+    roll: Float[Tensor, "*#batch"] | float = 0.0,
+    *,
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+) -> Float[Tensor, "*batch 3 3"]:
+    """`cam_from_world` of cameras at center that look at target.
 
     The image's top points towards the world direction `up`, or to world +y where a camera looks along `up`; then each
-    camera is turned by `roll` (*B), radians, about its optical axis, x towards y. Cameras that look nearly straight
+    camera is turned by `roll`, radians, about its optical axis, x towards y. Cameras that look nearly straight
     down want +y for `up`. Raises ValueError where a camera stands at its target.
     """
     forward = target - center
@@ -34,8 +39,8 @@ def look_at(
 
 def ring(
     images: int, radius: float | tuple[float, float], heights: Sequence[float], sector_deg: tuple[float, float]
-) -> Tensor:
-    """Centres (images, 3) on a circle, or an ellipse with two radii, about the z axis, at `heights` in turn.
+) -> Float[Tensor, "{images} 3"]:
+    """Centres on a circle, or an ellipse with two radii, about the z axis, at `heights` in turn.
 
     They divide the sector (degrees, from +x towards +y) evenly; one of 360 degrees is not closed twice.
     """
@@ -49,8 +54,8 @@ def ring(
     return torch.stack((across * angle.cos(), along * angle.sin(), level), dim=-1)
 
 
-def grid(columns: int, rows: int, spacing: tuple[float, float], height: float) -> Tensor:
-    """Centres (columns * rows, 3) of a grid about the z axis, flown row by row, to and fro."""
+def grid(columns: int, rows: int, spacing: tuple[float, float], height: float) -> Float[Tensor, "{columns}*{rows} 3"]:
+    """Centres of a grid about the z axis, flown row by row, to and fro."""
     x = spacing[0] * (torch.arange(columns, dtype=torch.float64) - 0.5 * (columns - 1))
     y = spacing[1] * (torch.arange(rows, dtype=torch.float64) - 0.5 * (rows - 1))
     lines = [torch.stack((x if row % 2 == 0 else x.flip(0), y[row].expand(columns)), dim=-1) for row in range(rows)]
@@ -58,7 +63,7 @@ def grid(columns: int, rows: int, spacing: tuple[float, float], height: float) -
     return torch.cat((flown, torch.full_like(flown[:, :1], height)), dim=-1)
 
 
-def rolls(images: int, most_deg: float) -> Tensor:
-    """Angles (images), radians, that vary as of a camera held in the hand, up to `most_deg` either way."""
+def rolls(images: int, most_deg: float) -> Float[Tensor, " {images}"]:
+    """Angles, radians, that vary as of a camera held in the hand, up to `most_deg` either way."""
     step = torch.arange(images, dtype=torch.float64)
     return math.radians(most_deg) * (2.4 * step + 0.7).sin()

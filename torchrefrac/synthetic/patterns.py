@@ -1,16 +1,20 @@
-"""Grounds without a repeat: stones, beans, grass and sand, drawn from a seed. Images (height, width, 3), uint8 RGB.
+"""Grounds without a repeat: stones, beans, grass and sand, drawn from a seed, as RGB images.
 
 All have detail from some texels up to the whole image, so that keypoints of any scale find something of their own.
 """
 
 import cv2
 import numpy as np
+from jaxtyping import Float, Float32, Int, Shaped, UInt8
 
+Colours = UInt8[np.ndarray, "height width 3"]
+Grey = Float32[np.ndarray, "height width"]
+Labels = Int[np.ndarray, "height width"]  # number of the thing at each texel from 1, 0 for the ground
 LIGHT = np.array((-0.45, -0.55), dtype=np.float32)  # towards the light, in the image: from the upper left
 
 
-def noise(size: tuple[int, int], rng: np.random.Generator, *, finest: float = 2.0, decay: float = 0.7) -> np.ndarray:
-    """Fractal noise (height, width), float32, of mean 0 and standard deviation 1: grids of random numbers, each half as
+def noise(size: tuple[int, int], rng: np.random.Generator, *, finest: float = 2.0, decay: float = 0.7) -> Grey:
+    """Fractal noise of mean 0 and standard deviation 1: grids of random numbers, each half as
     fine as the one before and 1/decay times as strong, up to the size of the image."""
     height, width = size
     total = np.zeros(size, dtype=np.float32)
@@ -27,7 +31,7 @@ def noise(size: tuple[int, int], rng: np.random.Generator, *, finest: float = 2.
     return (total - total.mean()) / total.std()
 
 
-def gravel(size: tuple[int, int], seed: int, *, stone: float = 44.0, tint: float = 7.0) -> np.ndarray:
+def gravel(size: tuple[int, int], seed: int, *, stone: float = 44.0, tint: float = 7.0) -> Colours:
     """Broken stones of many sizes, the largest about `stone` texels in radius, some warmer, some cooler by `tint`."""
     rng = np.random.default_rng(seed)
     height, width = size
@@ -54,7 +58,7 @@ def gravel(size: tuple[int, int], seed: int, *, stone: float = 44.0, tint: float
     return _finished(np.stack((grey + warmth, grey + 0.2 * warmth, grey - warmth), axis=-1), label)
 
 
-def beans(size: tuple[int, int], seed: int, *, bean: float = 34.0) -> np.ndarray:
+def beans(size: tuple[int, int], seed: int, *, bean: float = 34.0) -> Colours:
     """Roasted coffee beans, about `bean` texels in half length, on a pile of their like."""
     rng = np.random.default_rng(seed)
     count = int(5.0 * size[0] * size[1] / bean**2)
@@ -83,7 +87,7 @@ def beans(size: tuple[int, int], seed: int, *, bean: float = 34.0) -> np.ndarray
     return _finished(light[..., None] * roast * np.array((142.0, 92.0, 58.0), dtype=np.float32), label)
 
 
-def grass(size: tuple[int, int], seed: int, *, blade: float = 60.0) -> np.ndarray:
+def grass(size: tuple[int, int], seed: int, *, blade: float = 60.0) -> Colours:
     """Blades, about `blade` texels long, fresh and dry, the lower ones in the dark, and some small leaves."""
     rng = np.random.default_rng(seed)
     height, width = size
@@ -115,7 +119,7 @@ def grass(size: tuple[int, int], seed: int, *, blade: float = 60.0) -> np.ndarra
     return (image * shade[..., None]).clip(0, 255).astype(np.uint8)
 
 
-def sand(size: tuple[int, int], seed: int, *, ripple: float = 70.0) -> np.ndarray:
+def sand(size: tuple[int, int], seed: int, *, ripple: float = 70.0) -> Colours:
     """Sand with ripples about `ripple` texels apart, grains, and some pebbles and shells."""
     rng = np.random.default_rng(seed)
     height, width = size
@@ -141,7 +145,7 @@ def sand(size: tuple[int, int], seed: int, *, ripple: float = 70.0) -> np.ndarra
     return cv2.GaussianBlur(image, (0, 0), 0.6).clip(0, 255).astype(np.uint8)
 
 
-def _many_sizes(area: float, largest: float, rng: np.random.Generator) -> np.ndarray:
+def _many_sizes(area: float, largest: float, rng: np.random.Generator) -> Float[np.ndarray, " n"]:
     """Radii from small, which would cover the area, to large, with some of the small ones on top of all."""
     sizes = [largest * 0.72**step for step in range(6, -1, -1) if step < 4 or largest * 0.72**step > 4.0]
     shares = (1.3, 0.6, 0.5, 0.5, 0.5, 0.4, 0.3)[: len(sizes)]
@@ -150,18 +154,18 @@ def _many_sizes(area: float, largest: float, rng: np.random.Generator) -> np.nda
     return np.concatenate((*radii, rng.choice(np.concatenate(radii[:3]), counts[3])))
 
 
-def _by_label(values: np.ndarray, label: np.ndarray, ground: float = 0.0) -> np.ndarray:
+def _by_label(values: Shaped[np.ndarray, " n"], label: Labels, ground: float = 0.0) -> Grey:
     return np.concatenate(((ground,), values)).astype(np.float32)[label]
 
 
-def _offsets(label: np.ndarray, place: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _offsets(label: Labels, place: Float[np.ndarray, "n 2"], radius: Float[np.ndarray, " n"]) -> tuple[Grey, Grey]:
     """Of each texel from its stone's centre, in its radii."""
     row, column = np.arange(label.shape[0], dtype=np.float32)[:, None], np.arange(label.shape[1], dtype=np.float32)
     size = _by_label(radius, label, 1e6)
     return (column - _by_label(place[:, 0], label)) / size, (row - _by_label(place[:, 1], label)) / size
 
 
-def _facets(label: np.ndarray, x: np.ndarray, y: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
+def _facets(label: Labels, x: Grey, y: Grey, rng: np.random.Generator, count: int) -> Grey:
     """Brightness of broken stone: of four planes a stone, the lowest at each texel, by its slope to the light."""
     lowest, light = np.full(label.shape, np.inf, dtype=np.float32), np.empty(label.shape, dtype=np.float32)
     for facet in range(4):
@@ -175,7 +179,7 @@ def _facets(label: np.ndarray, x: np.ndarray, y: np.ndarray, rng: np.random.Gene
     return light
 
 
-def _finished(colour: np.ndarray, label: np.ndarray) -> np.ndarray:
+def _finished(colour: Float[np.ndarray, "height width 3"], label: Labels) -> Colours:
     """Darker where one thing meets the next, and rounded."""
     edge = np.zeros(label.shape, dtype=np.uint8)
     edge[:, 1:] |= label[:, 1:] != label[:, :-1]

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
+from jaxtyping import Float, Float32, Int
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
@@ -16,7 +17,7 @@ from torchrefrac.synthetic.stage import Stage
 from torchrefrac.synthetic.waves import Waves
 
 TILE_RAYS = 1 << 15  # so many that their tensors stay in the processor's cache
-KEPT_BYTES = 1 << 29  # of rays that need not be undistorted again for every image
+READY_BYTES = 1 << 29  # of rays that need not be undistorted again for every image
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,7 @@ class Photographer:
 
     stage: Stage
     scenery: Scenery
-    lens: Intrinsics
+    intrinsics: Intrinsics
     samples: int
     reflection: float = 0.0
 
@@ -39,63 +40,63 @@ class Photographer:
         return cls(
             stage=stage,
             scenery=Scenery(stage.pieces, options.index_ratio, Waves.draw(options.waves, options.seed)),
-            lens=Intrinsics.create(camera.width, camera.height, camera.focal, distortion=camera.distortion),
+            intrinsics=Intrinsics.create(camera.width, camera.height, camera.focal, distortion=camera.distortion),
             samples=options.sensor.samples,
             reflection=options.reflection,
         )
 
-    def look(self, image: int, pixels: Tensor) -> Sight:
-        """What camera number `image` sees at pixels (N, 2)."""
-        return self._look(image, self.lens.plane_from_pixels(pixels))
+    def look(self, image: int, pixels: Float[Tensor, "n 2"]) -> Sight:
+        """What camera number `image` sees at pixels."""
+        return self._look(image, self.intrinsics.plane_from_pixels(pixels))
 
-    def take(self, image: int) -> Tensor:
-        """RGB (height, width, 3) from 0 to 255, float32: the mean colour over each pixel.
+    def take(self, image: int) -> Float32[Tensor, "height width 3"]:
+        """RGB from 0 to 255: the mean colour over each pixel.
 
         Pixels are divided evenly; rays are followed in double precision, tile by tile on as many threads as PyTorch
         has. The result does not depend on their number.
         """
-        self.look(image, self.lens.principal_point[None])  # surfaces prepare before several threads ask
+        self.look(image, self.intrinsics.principal_point[None])  # surfaces prepare before several threads ask
 
-        def expose(tile: int) -> Tensor:
+        def expose(tile: int) -> Float32[Tensor, "n 3"]:
             colors = self._colors(self._look(image, self._plane(tile)))
             return colors.reshape(-1, self.samples**2, 3).mean(dim=1)
 
         tiles = side_by_side(expose, range(len(self._tiles)))
-        return torch.cat(tiles).reshape(self.lens.height, self.lens.width, 3)
+        return torch.cat(tiles).reshape(self.intrinsics.height, self.intrinsics.width, 3)
 
     @cached_property
-    def _tiles(self) -> tuple[Tensor, ...]:
+    def _tiles(self) -> tuple[Int[Tensor, "_"], ...]:
         """Numbers of the pixels of each tile, in the order of the image."""
-        return torch.arange(self.lens.width * self.lens.height).split(max(1, TILE_RAYS // self.samples**2))
+        return torch.arange(self.intrinsics.width * self.intrinsics.height).split(max(1, TILE_RAYS // self.samples**2))
 
     @cached_property
-    def _kept(self) -> dict[int, Tensor]:
+    def _ready(self) -> dict[int, Float[Tensor, "_ 2"]]:
         return {}
 
-    def _plane(self, tile: int) -> Tensor:
-        """Ideal image-plane coordinates (pixels * samples^2, 2); they serve all images."""
-        if tile in self._kept:
-            return self._kept[tile]
+    def _plane(self, tile: int) -> Float[Tensor, "n 2"]:
+        """Ideal image-plane coordinates of samples^2 places in each pixel; they serve all images."""
+        if tile in self._ready:
+            return self._ready[tile]
         numbers, s = self._tiles[tile], self.samples
-        corner = torch.stack((numbers % self.lens.width, numbers // self.lens.width), dim=-1)
+        corner = torch.stack((numbers % self.intrinsics.width, numbers // self.intrinsics.width), dim=-1)
         within = (torch.arange(s, dtype=torch.float64) + 0.5) / s
         offset = torch.cartesian_prod(within, within).flip(-1) if s > 1 else within.expand(1, 2)
-        plane = (corner[:, None] + offset - self.lens.principal_point).flatten(0, 1) / self.lens.focal
-        if not bool((self.lens.distortion == 0.0).all()):
-            plane = self.lens.plane_from_pixels((corner[:, None] + offset).flatten(0, 1))
+        plane = (corner[:, None] + offset - self.intrinsics.principal_point).flatten(0, 1) / self.intrinsics.focal
+        if not bool((self.intrinsics.distortion == 0.0).all()):
+            plane = self.intrinsics.plane_from_pixels((corner[:, None] + offset).flatten(0, 1))
         plane = by_component(plane)
-        if self.lens.width * self.lens.height * s**2 * 2 * plane.element_size() <= KEPT_BYTES:
-            self._kept[tile] = plane
+        if self.intrinsics.width * self.intrinsics.height * s**2 * 2 * plane.element_size() <= READY_BYTES:
+            self._ready[tile] = plane
         return plane
 
-    def _look(self, image: int, plane: Tensor) -> Sight:
+    def _look(self, image: int, plane: Float[Tensor, "n 2"]) -> Sight:
         rotation = self.stage.rotation[image]
         x, y = plane.unbind(dim=-1)
         directions = (rotation[:2].mT @ plane.mT + rotation[2][:, None]) / (x * x + y * y + 1.0).sqrt()
         return self.scenery.look(self.stage.center[image], directions.mT)
 
-    def _colors(self, sight: Sight) -> Tensor:
-        """RGB (N, 3), float32."""
+    def _colors(self, sight: Sight) -> Float32[Tensor, "n 3"]:
+        """RGB from 0 to 255."""
         colors = torch.full((len(sight.piece), 3), self.stage.background)
         for index, piece in enumerate(self.stage.pieces):
             own = (sight.piece == index).nonzero()[:, 0]
@@ -106,8 +107,8 @@ class Photographer:
             colors = colors + share[:, None] * (self.reflection - colors)
         return colors
 
-    def _light(self, normal: Tensor) -> Tensor:
-        """By how much surfaces of unit normals (N, 3) shine, (N, 1) float32."""
+    def _light(self, normal: Float[Tensor, "n 3"]) -> Float32[Tensor, "n 1"]:
+        """By how much surfaces of unit normals shine."""
         towards = torch.nn.functional.normalize(torch.tensor(self.stage.towards_light, dtype=normal.dtype), dim=-1)
         light = self.stage.ambient + self.stage.direct * (normal @ towards).abs()
         return light[:, None].float()

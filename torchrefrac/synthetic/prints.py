@@ -1,39 +1,22 @@
-"""What is printed or painted: labels, a checkerboard, wood, tiles. Images (height, width, 3), uint8 RGB, by a seed."""
+"""What is printed or painted: labels, a checkerboard, wood, tiles, drawn from a seed, as RGB images."""
 
 import cv2
 import numpy as np
+from jaxtyping import Float, Shaped
 
-from torchrefrac.synthetic.patterns import noise
+from torchrefrac.synthetic.patterns import Colours, noise
 
 Colour = tuple[float, float, float]
 FONTS = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_TRIPLEX, cv2.FONT_HERSHEY_COMPLEX)
 SYLLABLES = (
-    "ka",
-    "ro",
-    "mi",
-    "len",
-    "tor",
-    "ba",
-    "su",
-    "no",
-    "del",
-    "fi",
-    "gra",
-    "ve",
-    "lu",
-    "an",
-    "pe",
-    "sto",
-    "ri",
-    "qua",
-    "em",
-    "dor",
-)
+    "ka", "ro", "mi", "len", "tor", "ba", "su", "no", "del", "fi", "gra", "ve", "lu", "an", "pe", "sto", "ri", "qua",
+    "em", "dor",
+)  # fmt: skip
 
 
 def label(
     size: tuple[int, int], seed: int, *, words: str, ground: Colour = (176.0, 52.0, 40.0), ink: Colour = (240, 226, 190)
-) -> np.ndarray:
+) -> Colours:
     """A packet's print: `words` in large letters, bands, blocks of small print, a picture and a bar code."""
     rng = np.random.default_rng(seed)
     height, width = size
@@ -64,7 +47,7 @@ def label(
     return _worn(image, rng)
 
 
-def checkerboard(size: tuple[int, int], seed: int, *, columns: int, rows: int) -> np.ndarray:
+def checkerboard(size: tuple[int, int], seed: int, *, columns: int, rows: int) -> Colours:
     """Light and dark squares, each with a word of its own, on paper with stains and dirt."""
     rng = np.random.default_rng(seed)
     height, width = size
@@ -86,7 +69,7 @@ def checkerboard(size: tuple[int, int], seed: int, *, columns: int, rows: int) -
     return _worn(image * (1.0 + 0.09 * noise(size, rng, finest=12.0, decay=0.7))[..., None], rng, grain=7.0)
 
 
-def wood(size: tuple[int, int], seed: int, *, plank: float = 180.0) -> np.ndarray:
+def wood(size: tuple[int, int], seed: int, *, plank: float = 180.0) -> Colours:
     """Planks, about `plank` texels wide, their grain along the width of the image."""
     rng = np.random.default_rng(seed)
     height, width = size
@@ -109,7 +92,7 @@ def wood(size: tuple[int, int], seed: int, *, plank: float = 180.0) -> np.ndarra
     return (light[..., None] * np.array((158.0, 112.0, 70.0), dtype=np.float32)).clip(0, 255).astype(np.uint8)
 
 
-def tiles(size: tuple[int, int], seed: int, *, tile: float = 64.0) -> np.ndarray:
+def tiles(size: tuple[int, int], seed: int, *, tile: float = 64.0) -> Colours:
     """Small glazed tiles of many blues and greens, each speckled in its own way."""
     rng = np.random.default_rng(seed)
     height, width = size
@@ -126,12 +109,14 @@ def tiles(size: tuple[int, int], seed: int, *, tile: float = 64.0) -> np.ndarray
     return _worn(image, rng)
 
 
-def _block(image: np.ndarray, corner: np.ndarray, reach: np.ndarray, colour: np.ndarray) -> None:
+def _block(
+    image: Colours, corner: Float[np.ndarray, " 2"], reach: Float[np.ndarray, " 2"], colour: Float[np.ndarray, " 3"]
+) -> None:
     low, high = np.rint(corner).astype(int), np.rint(corner + reach).astype(int)
     image[max(low[1], 0) : high[1], max(low[0], 0) : high[0]] = colour.clip(0, 255)
 
 
-def _picture(image: np.ndarray, centre: np.ndarray, reach: float, rng: np.random.Generator) -> None:
+def _picture(image: Colours, centre: Float[np.ndarray, " 2"], reach: float, rng: np.random.Generator) -> None:
     """Rings, or a star."""
     where, colours = (int(centre[0]), int(centre[1])), rng.uniform(20, 245, (4, 3)).tolist()
     if rng.random() < 0.5:
@@ -146,9 +131,7 @@ def _picture(image: np.ndarray, centre: np.ndarray, reach: float, rng: np.random
     cv2.circle(image, where, int(0.3 * reach), colours[1], -1, cv2.LINE_AA)
 
 
-def _small_print(
-    image: np.ndarray, place: tuple[float, float], unit: int, ink: Colour, rng: np.random.Generator
-) -> None:
+def _small_print(image: Colours, place: tuple[float, float], unit: int, ink: Colour, rng: np.random.Generator) -> None:
     height, width = image.shape[:2]
     scale = unit * rng.uniform(0.0006, 0.0011)
     for line in range(3):
@@ -158,7 +141,7 @@ def _small_print(
         cv2.putText(image, words, where, FONTS[rng.integers(2)], scale, tone, max(1, int(1.7 * scale)), cv2.LINE_AA)
 
 
-def _band(image: np.ndarray, row: int, unit: int, ink: Colour, rng: np.random.Generator) -> None:
+def _band(image: Colours, row: int, unit: int, ink: Colour, rng: np.random.Generator) -> None:
     """A stripe of triangles that differ in width."""
     high = int(0.035 * unit)
     x = np.cumsum(rng.uniform(0.4, 1.8, 2 + 3 * image.shape[1] // high) * high)
@@ -167,7 +150,7 @@ def _band(image: np.ndarray, row: int, unit: int, ink: Colour, rng: np.random.Ge
         cv2.fillPoly(image, [np.rint(corners).astype(np.int32)], ink, cv2.LINE_AA)
 
 
-def _bar_code(image: np.ndarray, unit: int, rng: np.random.Generator) -> None:
+def _bar_code(image: Colours, unit: int, rng: np.random.Generator) -> None:
     height, width = image.shape[:2]
     wide, high = int(0.3 * unit), int(0.14 * unit)
     left, top = int(rng.uniform(0.1, 0.6) * width), int(0.55 * height)
@@ -183,7 +166,7 @@ def _word(rng: np.random.Generator) -> str:
     return "".join(rng.choice(SYLLABLES, int(rng.integers(1, 4))))
 
 
-def _worn(image: np.ndarray, rng: np.random.Generator, grain: float = 5.0) -> np.ndarray:
+def _worn(image: Shaped[np.ndarray, "height width 3"], rng: np.random.Generator, grain: float = 5.0) -> Colours:
     """Scratches and grain, softened as print is, and rounded."""
     height, width = image.shape[:2]
     for _ in range(height * width // 9000):

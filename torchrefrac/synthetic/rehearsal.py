@@ -20,11 +20,12 @@ def rehearse(photographer: Photographer, options: SyntheticOptions, names: Seque
     water, an image sees the scene in less than a quarter of a coarse grid of pixels, or no pixel of any image sees
     anything through the water.
     """
-    stage, lens = photographer.stage, photographer.lens
-    grid = lens.pixel_grid(ROWS, COLUMNS).flatten(0, 1)
-    corners = grid.new_tensor([[0.0, 0.0], [lens.width, 0.0], [0.0, lens.height], [lens.width, lens.height]])
+    stage, intrinsics = photographer.stage, photographer.intrinsics
+    grid = intrinsics.pixel_grid(ROWS, COLUMNS).flatten(0, 1)
+    width, height = intrinsics.width, intrinsics.height
+    corners = grid.new_tensor([[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]])
     pixels = torch.cat((grid, corners))
-    error = (lens.pixels_from_plane(lens.plane_from_pixels(pixels)) - pixels).norm(dim=-1)
+    error = (intrinsics.pixels_from_plane(intrinsics.plane_from_pixels(pixels)) - pixels).norm(dim=-1)
     if not bool((error <= PIXEL_TOLERANCE).all()):
         raise SceneError(
             f"camera.distortion is {list(options.camera.distortion)}, but such a lens shows a point of the scene at "

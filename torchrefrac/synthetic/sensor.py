@@ -1,18 +1,21 @@
-"""What the lens and the sensor make of the light: blur, noise, whole grey values."""
+"""What the optics and the sensor make of the light: blur, noise, whole grey values."""
 
 import cv2
 import numpy as np
 import torch
+from jaxtyping import Float32, UInt8
 from torch import Tensor
 
 from torchrefrac.synthetic.options import SensorOptions
 from torchrefrac.synthetic.seeds import seeded
 
 
-def develop(light: Tensor, options: SensorOptions, seed: int, image: int) -> np.ndarray:
-    """The photograph (H, W, 3), uint8 RGB, of colours (H, W, 3) from 0 to 255, float32.
+def develop(
+    light: Float32[Tensor, "height width 3"], options: SensorOptions, seed: int, image: int
+) -> UInt8[np.ndarray, "height width 3"]:
+    """The photograph, RGB, of colours from 0 to 255.
 
-    A Gaussian spot of the lens, Gaussian noise of each grey value, rounded. The noise depends on the seed and the
+    A Gaussian spot of the optics, Gaussian noise of each grey value, rounded. The noise depends on the seed and the
     number of the image alone, so that images may be made in any order.
     """
     if options.blur > 0.0:

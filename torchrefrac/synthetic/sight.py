@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -18,25 +19,25 @@ OVERLAP = 1e-6  # of the way to the water: a mesh that is met in single precisio
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What rays (N) see.
+    """What rays see.
 
-    piece: index of the piece that the ray ends on, -1 where it ends on none. start (N, 3), way (N, 3) and length (N):
-    the last straight part of the ray, length infinite where it ends on nothing. uv (N, 2) and normal (N, 3) at its
-    end. in_water: whether that part lies in the water, which the ray then entered with `cosine` (N) of incidence.
+    piece: index of the piece that the ray ends on, -1 where it ends on none. start, way and length: the last
+    straight part of the ray, length infinite where it ends on nothing. uv and normal at its end. in_water: whether that
+    part lies in the water, which the ray then entered with `cosine` of incidence.
     """
 
-    start: Tensor
-    way: Tensor
-    length: Tensor
-    piece: Tensor
-    uv: Tensor
-    normal: Tensor
-    in_water: Tensor
-    cosine: Tensor
+    start: Float[Tensor, "n 3"]
+    way: Float[Tensor, "n 3"]
+    length: Float[Tensor, " n"]
+    piece: Int[Tensor, " n"]
+    uv: Float[Tensor, "n 2"]
+    normal: Float[Tensor, "n 3"]
+    in_water: Bool[Tensor, " n"]
+    cosine: Float[Tensor, " n"]
 
     @property
-    def points(self) -> Tensor:
-        """Where the rays end (N, 3); NaN where they end on nothing."""
+    def points(self) -> Float[Tensor, "n 3"]:
+        """Where the rays end; NaN where they end on nothing."""
         return torch.where((self.piece >= 0)[:, None], self.start + self.length[:, None] * self.way, torch.nan)
 
 
@@ -68,8 +69,8 @@ class Scenery:
         levels = (piece.surface.triangles()[0][:, 2] for piece in self.pieces)
         return [(float(z.min()), float(z.max())) for z in levels]
 
-    def look(self, center: Tensor, directions: Tensor) -> Sight:
-        """What rays see that start at center (3), above the water, along unit directions (N, 3).
+    def look(self, center: Float[Tensor, " 3"], directions: Float[Tensor, "n 3"]) -> Sight:
+        """What rays see that start at center, above the water, along unit directions.
 
         A ray ends on what it meets before the water; else it is bent there and goes on. One that does not meet the
         water goes on straight, and may meet what reaches above the water.
@@ -87,7 +88,9 @@ class Scenery:
         dry = self._nearest(self.above, by_component(center.expand_as(directions)), directions)
         return _first(sight, dry, center, directions, entry)
 
-    def _enter(self, center: Tensor, directions: Tensor) -> tuple[Entry, Tensor]:
+    def _enter(
+        self, center: Float[Tensor, " 3"], directions: Float[Tensor, "n 3"]
+    ) -> tuple[Entry, Float[Tensor, "n 3"]]:
         if self.waves is not None:
             entry = self.waves.enter(center, directions, self.index_ratio)
             return entry, center + entry.length[:, None] * directions
@@ -96,7 +99,9 @@ class Scenery:
         length = center[2] / torch.where(valid, cosine, 1.0)
         return Entry(length, by_component(onward), cosine, valid), by_component(start)
 
-    def _nearest(self, chosen: Sequence[int], origins: Tensor, directions: Tensor) -> Nearest:
+    def _nearest(
+        self, chosen: Sequence[int], origins: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]
+    ) -> Nearest:
         """`nearest` among some of the pieces, with their indices among all."""
         found = nearest([self.pieces[i].surface for i in chosen], origins, directions)
         if tuple(chosen) == tuple(range(len(self.pieces))):
@@ -105,8 +110,10 @@ class Scenery:
         return found._replace(surface=number[found.surface])
 
 
-def see(pieces: Sequence[Piece], camera: RefractiveCamera, pixels: Tensor, waves: Waves | None = None) -> Sight:
-    """What one camera over water sees at pixels (N, 2); its interface is a water surface at z = 0.
+def see(
+    pieces: Sequence[Piece], camera: RefractiveCamera, pixels: Float[Tensor, "n 2"], waves: Waves | None = None
+) -> Sight:
+    """What one camera over water sees at pixels; its interface is a water surface at z = 0.
 
     With waves the interface gives nothing but its index ratio.
     """
@@ -114,7 +121,9 @@ def see(pieces: Sequence[Piece], camera: RefractiveCamera, pixels: Tensor, waves
     return scenery.look(camera.center_in_world, camera.view_directions(pixels))
 
 
-def _first(sight: Sight, dry: Nearest, center: Tensor, directions: Tensor, entry: Entry) -> Sight:
+def _first(
+    sight: Sight, dry: Nearest, center: Float[Tensor, " 3"], directions: Float[Tensor, "n 3"], entry: Entry
+) -> Sight:
     """`sight` in the water, but what is met in air where that comes first, or where there is no water on the way."""
     to_water = torch.where(entry.valid, (1.0 + OVERLAP) * entry.length, torch.inf)
     is_dry = (dry.length < to_water) | ~entry.valid

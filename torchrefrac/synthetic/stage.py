@@ -3,12 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from jaxtyping import Float, Float32
 from torch import Tensor
 
 from torchrefrac.geometry.surfaces import Surface
 from torchrefrac.scene.capture import CaptureError
 
-Texture = Callable[[Tensor], Tensor]
+Texture = Callable[[Float[Tensor, "n 2"]], Float32[Tensor, "n 3"]]
 
 
 class SceneError(CaptureError):
@@ -19,7 +20,7 @@ class SceneError(CaptureError):
 class Piece:
     """A surface with a name and its colours.
 
-    `texture` maps texture coordinates (N, 2), float64, to RGB (N, 3) from 0 to 255, float32. is_plane: whether the
+    `texture` maps texture coordinates to RGB from 0 to 255. is_plane: whether the
     paper's flatness can be measured on it.
     """
 
@@ -33,15 +34,15 @@ class Piece:
 class Stage:
     """What a scene consists of, before any light.
 
-    World: z up, the water surface z = 0, lengths in length_unit. rotation (m, 3, 3) cam_from_world and center (m, 3) of
-    the cameras along their path. Surfaces get their colours times `ambient` + `direct` * |normal . towards_light|.
-    position_sigma: standard deviation of a coordinate of a camera's satellite position; None: there is none.
-    background: grey value where a ray meets nothing.
+    World: z up, the water surface z = 0, lengths in length_unit. rotation cam_from_world and center of the cameras along
+    their path. Surfaces get their colours times `ambient` + `direct` * |normal . towards_light|. position_sigma: standard
+    deviation of a coordinate of a camera's satellite position; None: there is none. background: grey value where a ray
+    meets nothing.
     """
 
     pieces: tuple[Piece, ...]
-    rotation: Tensor
-    center: Tensor
+    rotation: Float[Tensor, "m 3 3"]
+    center: Float[Tensor, "m 3"]
     length_unit: str
     towards_light: tuple[float, float, float] = (0.3, 0.2, 1.0)
     ambient: float = 1.0

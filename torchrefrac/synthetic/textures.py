@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from jaxtyping import Float, Float32, UInt8
 from torch import Tensor
 from torch.nn import functional
 
@@ -14,13 +15,13 @@ from torchrefrac.synthetic.stage import Texture
 
 @dataclass(frozen=True, eq=False)
 class ImageTexture:
-    """An image (H, W, 3), uint8 RGB, spread over texture coordinates from 0 to 1: u to the right, v upwards.
+    """An image, RGB, spread over texture coordinates from 0 to 1: u to the right, v upwards.
 
     Between the centres of its texels it is interpolated bilinearly. Beyond 0 and 1 it continues with its outermost
     texels, or, with repeat, starts again, without a seam in the interpolation.
     """
 
-    image: np.ndarray
+    image: UInt8[np.ndarray, "height width 3"]
     repeat: bool = False
 
     def __post_init__(self) -> None:
@@ -28,13 +29,13 @@ class ImageTexture:
             raise ValueError(f"image is {self.image.dtype} {self.image.shape}, but must be uint8 of shape (H, W, 3)")
 
     @cached_property
-    def _channels(self) -> Tensor:
-        """(1, 3, H, W) float32 in memory of (H, W, 3), so that a texel's colour is read at once; one texel wider on
+    def _channels(self) -> Float32[Tensor, "1 3 height width"]:
+        """In memory channels last, so that a texel's colour is read at once; one texel wider on
         all sides where it repeats."""
         image = np.pad(self.image, ((1, 1), (1, 1), (0, 0)), mode="wrap") if self.repeat else self.image
         return torch.from_numpy(np.array(image, dtype=np.float32)).permute(2, 0, 1)[None]
 
-    def __call__(self, uv: Tensor) -> Tensor:
+    def __call__(self, uv: Float[Tensor, "n 2"]) -> Float32[Tensor, "n 3"]:
         if self.repeat:
             height, width = self.image.shape[:2]
             inner = torch.tensor((width / (width + 2.0), height / (height + 2.0)), dtype=uv.dtype)
@@ -51,7 +52,7 @@ class SideBySide:
 
     textures: Sequence[Texture]
 
-    def __call__(self, uv: Tensor) -> Tensor:
+    def __call__(self, uv: Float[Tensor, "n 2"]) -> Float32[Tensor, "n 3"]:
         which = (uv[:, 0].ceil() - 1.0).clamp(0, len(self.textures) - 1).long()
         colours = torch.zeros(len(uv), 3)
         for index, texture in enumerate(self.textures):
@@ -63,20 +64,20 @@ class SideBySide:
 
 @dataclass(frozen=True, eq=False)
 class VertexColours:
-    """Colours (f, 3, 3) float32 of each face's corners, interpolated over a mesh that has the texture coordinates of
+    """Colours of each face's corners, interpolated over a mesh that has the texture coordinates of
     `corner_uv`."""
 
-    colours: Tensor
+    colours: Float32[Tensor, "f 3 3"]
 
-    def __call__(self, uv: Tensor) -> Tensor:
+    def __call__(self, uv: Float[Tensor, "n 2"]) -> Float32[Tensor, "n 3"]:
         face = (uv[:, 0] / 2.0).floor().clamp(0, len(self.colours) - 1)
         second, third = uv[:, 0] - 2.0 * face - 0.5, uv[:, 1]
         weights = torch.stack((1.0 - second - third, second, third), dim=-1).clamp(0.0, 1.0).float()
         return (weights[..., None] * self.colours[face.long()]).sum(dim=1)
 
 
-def corner_uv(faces: int) -> Tensor:
-    """Texture coordinates (3 * faces, 2), float64, of a mesh whose faces share no vertices: they tell the face, and the
+def corner_uv(faces: int) -> Float[Tensor, "3*{faces} 2"]:
+    """Texture coordinates of a mesh whose faces share no vertices: they tell the face, and the
     place in it."""
     first = 2.0 * torch.arange(faces, dtype=torch.float64) + 0.5
     zero = torch.zeros_like(first)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.synthetic.options import WaveOptions
@@ -17,22 +18,22 @@ FLATTEST = 0.1  # a step is not longer than if the surface came that much slower
 
 
 class Entry(NamedTuple):
-    """Where rays (N) enter the water: length along the unit direction, unit direction in the water (N, 3), cosine of
+    """Where rays enter the water: length along the unit direction, unit direction in the water, cosine of
     incidence, and whether they meet the water at all; where they do not, the rest is meaningless, but finite."""
 
-    length: Tensor
-    direction: Tensor
-    cosine: Tensor
-    valid: Tensor
+    length: Float[Tensor, " n"]
+    direction: Float[Tensor, "n 3"]
+    cosine: Float[Tensor, " n"]
+    valid: Bool[Tensor, " n"]
 
 
 @dataclass(frozen=True, eq=False)
 class Waves:
-    """z = sum of amplitude sin(number . (x, y) + phase): number (k, 2), amplitude (k), phase (k)."""
+    """z = sum of amplitude sin(number . (x, y) + phase)."""
 
-    number: Tensor
-    amplitude: Tensor
-    phase: Tensor
+    number: Float[Tensor, "k 2"]
+    amplitude: Float[Tensor, " k"]
+    phase: Float[Tensor, " k"]
 
     @classmethod
     def draw(cls, options: WaveOptions, seed: int) -> "Waves | None":
@@ -55,13 +56,13 @@ class Waves:
         """No point of the surface is higher, nor deeper below z = 0."""
         return float(self.amplitude.abs().sum())
 
-    def surface(self, xy: Tensor) -> tuple[Tensor, Tensor]:
-        """Height (N) and gradient (N, 2) at xy (N, 2)."""
+    def surface(self, xy: Float[Tensor, "n 2"]) -> tuple[Float[Tensor, " n"], Float[Tensor, "n 2"]]:
+        """Height and gradient at xy."""
         angle = xy @ self.number.mT + self.phase
         return angle.sin() @ self.amplitude, (angle.cos() * self.amplitude) @ self.number
 
-    def enter(self, center: Tensor, direction: Tensor, index_ratio: float) -> Entry:
-        """Rays from center (3) along unit directions (N, 3): Newton's method from where they would meet calm water.
+    def enter(self, center: Float[Tensor, " 3"], direction: Float[Tensor, "n 3"], index_ratio: float) -> Entry:
+        """Rays from center along unit directions: Newton's method from where they would meet calm water.
 
         A ray that goes upwards, one that Newton's method does not bring onto the surface (it is nearly level), and one
         that comes to the back of a wave do not meet the water.
@@ -86,8 +87,10 @@ class Waves:
         return Entry(torch.where(valid, length, 1.0), bent, cosine, valid)
 
 
-def bend(direction: Tensor, normal: Tensor, cosine: Tensor, index_ratio: float) -> Tensor:
-    """Snell's law in vector form: unit directions (N, 3) in the water of unit ones in air that come to a surface of
-    unit normals (N, 3), towards the air, with `cosine` (N) of incidence."""
+def bend(
+    direction: Float[Tensor, "n 3"], normal: Float[Tensor, "n 3"], cosine: Float[Tensor, " n"], index_ratio: float
+) -> Float[Tensor, "n 3"]:
+    """Snell's law in vector form: unit directions in the water of unit ones in air that come to a surface of unit
+    normals, towards the air, with `cosine` of incidence."""
     onward = (1.0 - (1.0 - cosine.square()) / index_ratio**2).sqrt()
     return direction / index_ratio + (cosine / index_ratio - onward)[:, None] * normal

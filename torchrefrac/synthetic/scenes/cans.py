@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from torchrefrac.checks import require
 from torchrefrac.geometry.surfaces import Cylinder, Rectangle
@@ -111,8 +113,8 @@ def _round_things(floor: float, seed: int) -> list[Piece]:
     ]
 
 
-def leaning(foot: torch.Tensor, edge: torch.Tensor, radius: float, beyond: float) -> Cylinder:
-    """A cylinder that stands on the floor at `foot` (3), rests upon the point `edge` (3), and ends `beyond` it."""
+def leaning(foot: Float[Tensor, " 3"], edge: Float[Tensor, " 3"], radius: float, beyond: float) -> Cylinder:
+    """A cylinder that stands on the floor at `foot`, rests upon the point `edge`, and ends `beyond` it."""
     across = torch.nn.functional.normalize(torch.linalg.cross(vector((0.0, 0.0, 1.0)), edge - foot), dim=-1)
     along = torch.nn.functional.normalize(edge - foot, dim=-1)
     over = torch.linalg.cross(along, across)

@@ -2,21 +2,25 @@
 
 import cv2
 import numpy as np
+from jaxtyping import Bool, Float, Shaped
 
-from torchrefrac.synthetic.patterns import grass, gravel, noise, sand
+from torchrefrac.synthetic.patterns import Colours, grass, gravel, noise, sand
 
+Heights = Float[np.ndarray, "rows columns"]
 BANK = 0.48  # where the water ends, from the middle, in half widths of the ground
 
 
-def places(size: tuple[int, int], half: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """x (columns) and y (rows, 1) of the centres of cells; the first row is the northernmost."""
+def places(
+    size: tuple[int, int], half: tuple[float, float]
+) -> tuple[Float[np.ndarray, " columns"], Float[np.ndarray, "rows 1"]]:
+    """x and y of the centres of cells; the first row is the northernmost."""
     x = half[0] * (2.0 * (np.arange(size[1]) + 0.5) / size[1] - 1.0)
     y = half[1] * (1.0 - 2.0 * (np.arange(size[0]) + 0.5) / size[0])
     return x, y[:, None]
 
 
-def bed(size: tuple[int, int], half: tuple[float, float], depth: float, rng: np.random.Generator) -> np.ndarray:
-    """Heights (rows, columns) without boulders: a winding channel, deepest in the south, its bank in the north."""
+def bed(size: tuple[int, int], half: tuple[float, float], depth: float, rng: np.random.Generator) -> Heights:
+    """Heights without boulders: a winding channel, deepest in the south, its bank in the north."""
     x, y = places(size, half)
     deepest = half[1] * (-0.18 + 0.10 * np.sin(2.2 * np.pi * x / (2.0 * half[0]) + 0.6))
     bank = half[1] * (BANK + 0.07 * np.sin(3.4 * np.pi * x / (2.0 * half[0]) + 2.0))
@@ -29,16 +33,16 @@ def bed(size: tuple[int, int], half: tuple[float, float], depth: float, rng: np.
     return (depth * (profile + 0.045 * rough)).astype(np.float64)
 
 
-def boulders(half: tuple[float, float], count: int, rng: np.random.Generator) -> np.ndarray:
-    """x, y, radius, flatness (count, 4), the small ones first."""
+def boulders(half: tuple[float, float], count: int, rng: np.random.Generator) -> Float[np.ndarray, "count 4"]:
+    """x, y, radius, flatness, the small ones first."""
     radius = np.sort(0.18 + 0.13 * half[1] / 24.0 * rng.gamma(1.6, 1.0, count)).clip(max=0.07 * half[1])
     place = rng.uniform(-1.0, 1.0, (count, 2)) * half
     return np.column_stack((place, radius, rng.uniform(0.5, 0.95, count)))
 
 
 def with_boulders(
-    bed: np.ndarray, half: tuple[float, float], boulders: np.ndarray, rng: np.random.Generator
-) -> np.ndarray:
+    bed: Heights, half: tuple[float, float], boulders: Float[np.ndarray, "n 4"], rng: np.random.Generator
+) -> Heights:
     """Domes of uneven outline, each where the bed is on average, sunk in a little."""
     x, y = places(bed.shape, half)
     uneven = (1.0 + 0.2 * noise(bed.shape, rng, finest=4.0, decay=0.7)).clip(0.6, 1.5)
@@ -59,11 +63,11 @@ def with_boulders(
 def colours(
     size: tuple[int, int],
     half: tuple[float, float],
-    height: np.ndarray,
-    rocky: np.ndarray,
-    boulders: np.ndarray,
+    height: Heights,
+    rocky: Bool[np.ndarray, "rows columns"],
+    boulders: Float[np.ndarray, "n 4"],
     seed: int,
-) -> np.ndarray:
+) -> Colours:
     """Sand and stones on the bed, boulders where it is rocky, all darker at the water's edge, grass on the bank."""
     rng = np.random.default_rng(seed + 1)
     level = cv2.resize(height.astype(np.float32), size[::-1], interpolation=cv2.INTER_LINEAR)
@@ -87,10 +91,12 @@ def colours(
     return (colour * damp[..., None]).clip(0, 255).astype(np.uint8)
 
 
-def _step(values: np.ndarray, width: float = 1.0) -> np.ndarray:
+def _step(values: Float[np.ndarray, "h w"], width: float = 1.0) -> Float[np.ndarray, "h w"]:
     """0 far below zero, 1 far above."""
     return 1.0 / (1.0 + np.exp(-4.0 * np.clip(values / width, -10.0, 10.0)))
 
 
-def _mix(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _mix(
+    first: Shaped[np.ndarray, "h w 3"], second: Shaped[np.ndarray, "h w 3"], share: Float[np.ndarray, "h w"]
+) -> Float[np.ndarray, "h w 3"]:
     return first + (second - first) * share[..., None].astype(np.float32)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.checks import require
@@ -126,7 +127,7 @@ def _load(path: Path) -> "trimesh.Trimesh":
     return mesh
 
 
-def _placed(vertices: Tensor, options: MeshOptions) -> tuple[Tensor, float]:
+def _placed(vertices: Float[Tensor, "v 3"], options: MeshOptions) -> tuple[Float[Tensor, "v 3"], float]:
     """Vertices in the world frame, and the depth of the lowest."""
     if options.up == "y":
         vertices = torch.stack((vertices[:, 0], -vertices[:, 2], vertices[:, 1]), dim=-1)
@@ -148,7 +149,7 @@ def _placed(vertices: Tensor, options: MeshOptions) -> tuple[Tensor, float]:
     return vertices - torch.stack((middle[0], middle[1], low[2] + depth)), depth
 
 
-def _cameras(options: MeshOptions, radius: float, middle: float) -> Tensor:
+def _cameras(options: MeshOptions, radius: float, middle: float) -> Float[Tensor, "m 3"]:
     """Centres from which the sphere about the mesh fits into the image."""
     small = min(options.camera.width, options.camera.height) / (2.0 * options.camera.focal)
     distance = MARGIN * radius / math.sin(math.atan(small))
@@ -171,7 +172,7 @@ def _cameras(options: MeshOptions, radius: float, middle: float) -> Tensor:
     return center * torch.stack((each, each, torch.ones_like(each)), dim=-1)
 
 
-def _reach(options: MeshOptions, center: Tensor, depth: float, radius: float) -> float:
+def _reach(options: MeshOptions, center: Float[Tensor, "m 3"], depth: float, radius: float) -> float:
     """Half the side of a ground that fills the images, but for what lies near the horizon."""
     out = center[:, :2].norm(dim=-1)
     tilt = torch.atan2(out, center[:, 2] + 0.5 * depth)

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from jaxtyping import Float, Float32, UInt8
 from torch import Tensor
 
 from torchrefrac.geometry.triangle_mesh import TriangleMesh
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 SHIFTS = ((0.0, 0.0), (0.53, 0.31), (0.21, 0.67), (0.77, 0.13), (0.37, 0.83), (0.11, 0.47))  # of the six sides of a box
 
 
-def coloured(mesh: "trimesh.Trimesh", vertices: Tensor, seed: int) -> tuple[TriangleMesh, Texture]:
-    """The mesh with its vertices (v, 3) at their place, and its texture."""
+def coloured(mesh: "trimesh.Trimesh", vertices: Float[Tensor, "v 3"], seed: int) -> tuple[TriangleMesh, Texture]:
+    """The mesh with its vertices at their place, and its texture."""
     faces = torch.as_tensor(np.array(mesh.faces), dtype=torch.int64)
     image, uv = _image(mesh), getattr(mesh.visual, "uv", None)
     if image is not None and uv is not None and len(uv) == len(vertices):
@@ -34,7 +35,7 @@ def coloured(mesh: "trimesh.Trimesh", vertices: Tensor, seed: int) -> tuple[Tria
     )
 
 
-def _image(mesh: "trimesh.Trimesh") -> np.ndarray | None:
+def _image(mesh: "trimesh.Trimesh") -> UInt8[np.ndarray, "height width 3"] | None:
     """The picture of the mesh's material, where it has one."""
     material: Any = getattr(mesh.visual, "material", None)
     for name in ("image", "baseColorTexture"):
@@ -44,8 +45,8 @@ def _image(mesh: "trimesh.Trimesh") -> np.ndarray | None:
     return None
 
 
-def _corner_colours(mesh: "trimesh.Trimesh") -> Tensor | None:
-    """(f, 3, 3) float32, where vertices or faces have colours of their own."""
+def _corner_colours(mesh: "trimesh.Trimesh") -> Float32[Tensor, "f 3 3"] | None:
+    """Of the corners of each face, where vertices or faces have colours of their own."""
     visual: Any = mesh.visual
     if visual.kind == "vertex":
         table = np.array(visual.vertex_colors)[:, :3][np.array(mesh.faces)]
@@ -56,8 +57,8 @@ def _corner_colours(mesh: "trimesh.Trimesh") -> Tensor | None:
     return torch.from_numpy(table.astype(np.float32))
 
 
-def _box_uv(corners: Tensor) -> Tensor:
-    """Texture coordinates (3 * f, 2) of triangles (f, 3, 3): the image is laid on each side of a box about the mesh,
+def _box_uv(corners: Float[Tensor, "f 3 3"]) -> Float[Tensor, "3*f 2"]:
+    """Texture coordinates of the corners of triangles: the image is laid on each side of a box about the mesh,
     and a face has that of the side that it faces most. Once across the image is the longest side of the box."""
     low, high = corners.reshape(-1, 3).amin(dim=0), corners.reshape(-1, 3).amax(dim=0)
     inside = (corners - low) / (high - low).max()

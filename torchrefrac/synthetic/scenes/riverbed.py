@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.checks import require
@@ -95,7 +96,7 @@ def riverbed_stage(options: RiverbedOptions) -> Stage:
     )
 
 
-def _flight(options: RiverbedOptions) -> tuple[Tensor, Tensor]:
+def _flight(options: RiverbedOptions) -> tuple[Float[Tensor, "m 3 3"], Float[Tensor, "m 3"]]:
     spacing = tuple((1.0 - options.overlap) * side for side in options.view)
     down = grid(options.columns, options.rows, (spacing[0], spacing[1]), options.altitude)
     sway = rolls(len(down), SWAY_DEG)
@@ -112,7 +113,7 @@ def _cells(half: tuple[float, float], step: float) -> tuple[int, int]:
     return round(2.0 * half[1] / step), round(2.0 * half[0] / step)
 
 
-def _mesh(height: np.ndarray, half: tuple[float, float]) -> TriangleMesh:
+def _mesh(height: Float[np.ndarray, "rows columns"], half: tuple[float, float]) -> TriangleMesh:
     rows, columns = height.shape
     x, y = places(height.shape, half)
     vertices = np.stack((np.broadcast_to(x, height.shape), np.broadcast_to(y, height.shape), height), axis=-1)

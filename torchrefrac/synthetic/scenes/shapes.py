@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.geometry.surfaces import Rectangle
@@ -11,7 +12,7 @@ from torchrefrac.geometry.surfaces import Rectangle
 Vector = Sequence[float]
 
 
-def vector(components: Vector) -> Tensor:
+def vector(components: Vector) -> Float[Tensor, " n"]:
     return torch.tensor(components, dtype=torch.float64)
 
 

@@ -1,0 +1,122 @@
+"""What was varied between the runs of a sweep."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from torchrefrac.files.run import METRICS, RunRecord, RunRecordError, RunStatus
+
+UNSAID = ("out", "hydra")  # keys of a command line that say nothing about the result, with all below them
+PLACES = ("scene.path", "scene.name")  # told by the scene's name already
+METHOD = ("dense", "dense.method")  # which dense stage: told by the metric dense_method
+
+
+@dataclass(frozen=True)
+class Design:
+    """What differs between the jobs, by keys of the command line beside scene and model.
+
+    x: what the figures have along their horizontal axis, None without a number that was varied; told_apart: every other
+    key, in the order of the command line; averaged: seeds, which are alike.
+    """
+
+    x: str | None
+    told_apart: tuple[str, ...]
+    averaged: tuple[str, ...]
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """All of them, x first."""
+        return (*([self.x] if self.x else []), *self.told_apart, *self.averaged)
+
+
+def load_runs(folders: Sequence[Path]) -> list[RunRecord]:
+    """The records of the runs in `folders`, in their order; see load_run."""
+    return [load_run(folder) for folder in folders]
+
+
+def load_run(folder: Path) -> RunRecord:
+    """The record of a run that has ended. One without a readable record, or that is still running, has failed, for that
+    reason; only complete runs have none."""
+    try:
+        record = RunRecord.read(folder)
+    except RunRecordError as error:
+        reason = str(error).replace(str(folder / METRICS), METRICS)
+        return RunRecord(folder, RunStatus.FAILED, reason=reason)
+    if record.is_complete:
+        return record
+    if record.status is RunStatus.RUNNING:
+        return replace(record, status=RunStatus.FAILED, reason="came to a sudden end, or is still running")
+    status = RunStatus.INTERRUPTED if record.status is RunStatus.INTERRUPTED else RunStatus.FAILED
+    return replace(record, status=status, reason=record.reason or f"{METRICS} gives no reason")
+
+
+def what_varied(jobs: Sequence[RunRecord]) -> Design:
+    """What differs between the jobs; of those whose command line is unknown nothing is concluded.
+
+    An index ratio goes along the axis if there is one, else the number with the most values. Numbers are what complete
+    jobs have as numbers: a failed one may have anything.
+    """
+    known = [job for job in jobs if job.overrides]
+    keys = dict.fromkeys(key for job in known for key in job.overrides)
+    varied = [key for key in keys if _says_something(key) and len({job.overrides.get(key) for job in known}) > 1]
+    varied = [key for key in varied if key not in PLACES or not _follows_scene(known, key)]
+    averaged = tuple(key for key in varied if short_key(key) == "seed")
+    others = [key for key in varied if key not in averaged]
+    numeric = [key for key in others if _is_numeric(known, key)]
+    numeric.sort(key=lambda key: (not key.endswith("index_ratio"), -len({job.overrides.get(key) for job in known})))
+    x = numeric[0] if numeric else None
+    return Design(x, tuple(key for key in others if key != x), averaged)
+
+
+def _says_something(key: str) -> bool:
+    return key not in ("scene", "model") and key.partition(".")[0] not in UNSAID
+
+
+def _follows_scene(jobs: Sequence[RunRecord], key: str) -> bool:
+    """Whether no two values of the key have the same scene."""
+    pairs = {(job.scene, job.overrides.get(key)) for job in jobs}
+    return len({scene for scene, _ in pairs}) == len(pairs)
+
+
+def _is_numeric(jobs: Sequence[RunRecord], key: str) -> bool:
+    values = [value_of(job, key) for job in jobs if job.is_complete]
+    return bool(values) and None not in values
+
+
+def value_of(job: RunRecord, key: str) -> float | None:
+    """What the job's command line says of the key, as a finite number; None where it is none."""
+    try:
+        value = float(job.overrides.get(key, ""))
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def short_key(key: str) -> str:
+    """The last part of a dotted key."""
+    return key.rsplit(".", 1)[-1]
+
+
+def short_keys(keys: Sequence[str]) -> dict[str, str]:
+    """A short name for each key: its last part where that is unique."""
+    last = [short_key(key) for key in keys]
+    return {
+        key: name if last.count(name) == 1 and name not in ("scene", "model") else key
+        for key, name in zip(keys, last, strict=True)
+    }
+
+
+def has_paper_form(design: Design) -> bool:
+    """Whether only scene, model and dense method vary, as in the paper's Table 1."""
+    return all(key in METHOD for key in design.keys)
+
+
+def failed_first(jobs: Sequence[RunRecord]) -> list[RunRecord]:
+    """The same jobs, those without results before the others."""
+    return sorted(jobs, key=lambda job: job.is_complete)
+
+
+def scenes_of(jobs: Iterable[RunRecord]) -> list[str]:
+    """The names of the scenes, in the order of the jobs."""
+    return list(dict.fromkeys(job.scene for job in jobs))
