@@ -21,8 +21,9 @@ from torchrefrac.figures.matches import (
     residual_picture,
     spread,
 )
+from torchrefrac.geometry import Rigid
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.scene import Cameras, Capture, Interfaces, Reconstruction
+from torchrefrac.scene import Cameras, Capture, Interfaces, Observations, Scene
 from torchrefrac.sfm import VerifiedPair
 from torchrefrac.sfm.pose import PairPose
 
@@ -44,7 +45,7 @@ class Album(SilentRecorder):
 @dataclass(frozen=True)
 class Photographed:
     capture: Capture
-    reconstruction: Reconstruction
+    scene: Scene
 
 
 @pytest.fixture
@@ -53,17 +54,19 @@ def photographed(make_basin, tmp_path):
 
     def make(cameras=4, **scene):
         basin = make_basin(cameras=cameras, points=40, seen_by=2, **scene)
-        lens = basin.lens
+        intrinsics = basin.lens
         names = tuple(f"{i}.png" for i in range(cameras))
         for name in names:
-            cv2.imwrite(str(tmp_path / name), np.full((int(lens.height), int(lens.width), 3), 100, dtype=np.uint8))
+            cv2.imwrite(
+                str(tmp_path / name), np.full((int(intrinsics.height), int(intrinsics.width), 3), 100, dtype=np.uint8)
+            )
         paths = tuple(Path(tmp_path / name) for name in names)
         flags = torch.zeros(cameras, dtype=torch.bool)
         capture = Capture(
             tmp_path,
             names,
             paths,
-            Cameras.of([lens]),
+            Cameras.of([intrinsics]),
             Interfaces.level(basin.index_ratio),
             basin.down_in_cam,
             0.01,
@@ -72,11 +75,10 @@ def photographed(make_basin, tmp_path):
             "cm",
         )
         pixels, seen = basin.project()
-        point, image = seen.T.nonzero(as_tuple=True)
-        colors = torch.zeros(len(basin.points), 3, dtype=torch.uint8)
-        found = Reconstruction(
-            names, ~flags, basin.rotation, basin.center, lens, basin.index_ratio, "cm", basin.points, colors,
-            image, point, pixels[image, point],
+        point, view = seen.T.nonzero(as_tuple=True)
+        found = Scene.create(
+            Rigid(basin.rotation, basin.center), intrinsics, capture.interfaces, basin.points,
+            Observations(view, point, pixels[view, point]), names=names, length_unit="cm",
         )  # fmt: skip
         return Photographed(capture, found)
 
@@ -168,7 +170,9 @@ def test_residuals_of_a_few_registered_images_are_shown(photographed):
     registered = torch.arange(12) != 3
     album = Album()
 
-    record_residuals(planted.capture, replace(planted.reconstruction, registered=registered), album)
+    record_residuals(
+        planted.capture, replace(planted.scene, views=replace(planted.scene.views, registered=registered)), album
+    )
 
     assert len(album.pictures) == 6
     assert {"residuals/0", "residuals/11"} <= set(album.pictures)
@@ -178,8 +182,7 @@ def test_residuals_of_a_few_registered_images_are_shown(photographed):
 
 def test_an_image_without_observations_is_shown_without_residuals(photographed):
     planted = photographed(cameras=2)
-    none = torch.zeros(0, dtype=torch.long)
-    empty = replace(planted.reconstruction, image=none, point=none, pixels=torch.zeros(0, 2, dtype=torch.float64))
+    empty = planted.scene.with_points(planted.scene.points, planted.scene.colors)
     album = Album()
 
     record_residuals(planted.capture, empty, album)
@@ -193,4 +196,4 @@ def test_nobody_who_wants_no_pictures_reads_photographs(photographed):
         path.unlink()
 
     record_matches(planted.capture, [features(0), features(1)], [verified(0, 1, 20)], SilentRecorder())
-    record_residuals(planted.capture, planted.reconstruction, SilentRecorder())
+    record_residuals(planted.capture, planted.scene, SilentRecorder())

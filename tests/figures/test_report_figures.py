@@ -17,8 +17,8 @@ from torchrefrac.figures.uncertainty import ellipse_axes, exaggeration, true_err
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.library import embedded_scene
 from torchrefrac.files.truth import load_truth
-from torchrefrac.geometry import heading_rotation, level_rotation, split_heading
-from torchrefrac.scene import Reconstruction, Truth
+from torchrefrac.geometry import Rigid, heading_rotation, level_rotation, split_heading
+from torchrefrac.scene import Interfaces, Observations, Scene, Truth
 
 INDEX_RATIO = 1.33
 
@@ -26,7 +26,7 @@ INDEX_RATIO = 1.33
 @pytest.fixture
 def planted(tmp_path, generator):
     """The embedded tank as `html_runs` plants it."""
-    return Planted(tmp_path, generator).reconstruction(INDEX_RATIO)
+    return Planted(tmp_path, generator).scene(INDEX_RATIO)
 
 
 @pytest.fixture
@@ -38,10 +38,9 @@ def make_scene(draw):
         center = torch.cat((draw.uniform(-20.0, 20.0, m, 2), torch.full((m, 1), 30.0, dtype=torch.float64)), dim=1)
         below = center - torch.tensor((0.0, 0.0, 80.0), dtype=torch.float64)
         every = torch.arange(m)
-        return Reconstruction(
-            tuple(f"{i}.png" for i in range(m)), torch.ones(m, dtype=torch.bool), rotation, center,
-            Intrinsics.create(640, 480, 400.0), INDEX_RATIO, "cm", below, torch.zeros(m, 3, dtype=torch.uint8),
-            every, every, torch.zeros(m, 2, dtype=torch.float64),
+        return Scene.create(
+            Rigid(rotation, center), Intrinsics.create(640, 480, 400.0), Interfaces.level(INDEX_RATIO), below,
+            Observations(every, every, torch.zeros(m, 2, dtype=torch.float64)), length_unit="cm",
         )  # fmt: skip
 
     return make
@@ -60,7 +59,7 @@ def test_attitudes_are_the_planted_ones_and_headings_are_compared_but_for_their_
     error = draw.normal(3, 6)
     true = _tilted(roll - error[0], pitch - error[1], heading - torch.deg2rad(error[2]) - 2.5)
     none = torch.zeros(0, 3, dtype=torch.float64)
-    truth = Truth(scene.names, true, scene.center, none, none, none, "cm")
+    truth = Truth(scene.views.names, true, scene.views.center, none, none, none, "cm")
 
     images, (rolls, pitches, headings) = attitudes(scene, None, truth)
 
@@ -80,7 +79,13 @@ def test_headings_run_on_where_the_compass_begins_anew(make_scene):
     _, (*_, headings) = attitudes(
         scene := make_scene(_tilted(level, level, torch.arange(8, dtype=torch.float64))),
         None,
-        Truth(scene.names, scene.rotation, scene.center, *[torch.zeros(0, 3, dtype=torch.float64)] * 3, "cm"),
+        Truth(
+            scene.views.names,
+            scene.views.rotation,
+            scene.views.center,
+            *[torch.zeros(0, 3, dtype=torch.float64)] * 3,
+            "cm",
+        ),
     )
 
     assert torch.allclose(headings.estimated.diff(), torch.tensor(180.0 / math.pi, dtype=torch.float64))
@@ -89,7 +94,7 @@ def test_headings_run_on_where_the_compass_begins_anew(make_scene):
 
 def test_measured_angles_are_set_beside_registered_images_alone(planted):
     capture = replace(load_capture(embedded_scene("tank_small")), has_heading=False)
-    with_heading = replace(capture, heading=split_heading(planted.rotation)[1] + 3.0, has_heading=True)
+    with_heading = replace(capture, heading=split_heading(planted.views.rotation)[1] + 3.0, has_heading=True)
 
     images, angles = attitudes(planted, capture, None)
     _, (*_, heading) = attitudes(planted, with_heading, None)
@@ -110,7 +115,7 @@ def test_residuals_are_those_of_the_noise_and_every_observation_is_in_one_bin(pl
 
     step, start, rows = bins(residuals.incidence)
 
-    assert len(residuals) == len(planted.image)
+    assert len(residuals) == len(planted.observations)
     assert float(residuals.error.median()) == pytest.approx(0.5 * math.sqrt(2.0 * math.log(2.0)), rel=0.2)
     assert sum(len(residuals.of_image(i)) for i in range(8)) == len(residuals)
     every = torch.cat(list(rows.values()))
@@ -123,8 +128,8 @@ def test_residuals_are_those_of_the_noise_and_every_observation_is_in_one_bin(pl
 
 def test_the_angle_of_incidence_is_that_of_the_viewing_ray(planted):
     residuals = Residuals.of(planted)
-    camera = planted.cameras[planted.image]
-    projected, _ = camera.project(planted.points[planted.point])
+    camera = planted.camera_of(planted.observations.view)
+    projected, _ = camera.project(planted.points[planted.observations.point])
 
     upwards = -camera.view_directions(projected)[:, 2]
 
@@ -167,13 +172,13 @@ def test_the_typical_depth_is_that_of_points_in_the_water():
 
 def test_the_edges_of_a_pyramid_are_seen_in_the_corners_of_the_image(planted):
     lines = pyramids(planted).unflatten(0, (7, 4))
-    cameras = planted.cameras.as_pinhole()[:7]
+    cameras = planted.camera_of().as_pinhole()[:7]
 
     pixels, _ = cameras[:, None].project(lines[:, :, 1])
 
     corners = torch.tensor(((0.0, 0.0), (640.0, 0.0), (640.0, 480.0), (0.0, 480.0)), dtype=torch.float64)
     assert torch.allclose(pixels, corners.expand_as(pixels), atol=1e-6)
-    assert torch.equal(lines[:, :, 0], planted.center[:7, None].expand(7, 4, 3))
+    assert torch.equal(lines[:, :, 0], planted.views.center[:7, None].expand(7, 4, 3))
 
 
 def test_ellipses_have_the_axes_that_made_them(draw):
@@ -196,7 +201,8 @@ def test_errors_are_exaggerated_by_a_round_factor_and_never_made_smaller(size, f
 def test_true_errors_are_of_images_that_the_truth_has(planted):
     truth = load_truth(embedded_scene("tank_small"))
     assert truth is not None
-    shifted = replace(planted, center=truth.center + 1.0, names=("other.jpg", *truth.names[1:]))
+    pose = Rigid(planted.views.rotation, truth.center + 1.0)
+    shifted = replace(planted, views=replace(planted.views, pose=pose, names=("other.jpg", *truth.names[1:])))
 
     errors = true_errors(shifted, truth, torch.arange(3))
 

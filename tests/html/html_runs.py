@@ -1,7 +1,7 @@
 """Run folders to make reports of, planted on the embedded tank: no photograph is looked at, and nothing is adjusted."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,9 @@ from torchrefrac.files.capture import load_capture
 from torchrefrac.files.library import embedded_scene
 from torchrefrac.files.tracks import write_tracks
 from torchrefrac.files.truth import load_truth
+from torchrefrac.geometry import Rigid
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.scene import Assessment, Reconstruction
+from torchrefrac.scene import Assessment, Interfaces, Observations, Scene
 
 COMPLETE = {
     "status": "complete", "stages": ["features", "matching", "sparse"], "images": 8, "registered_images": 7,
@@ -39,7 +40,7 @@ class Planted:
         """A finished run: true cameras but for a hundredth of a centimetre, points on the true planes, and half a pixel
         of noise; the last image is not registered."""
         run = self.folder / name
-        scene = self.reconstruction(1.33 if model == "refractive" else 1.0)
+        scene = self.scene(1.33 if model == "refractive" else 1.0)
         write_cameras(scene, run / "cameras.json")
         write_points(scene.points, scene.colors, run / "points.ply")
         write_tracks(scene, run / "tracks.npz")
@@ -60,35 +61,35 @@ class Planted:
         self._write(run, fields)
         return run
 
-    def reconstruction(self, index_ratio: float, count: int = 300) -> Reconstruction:
+    def scene(self, index_ratio: float, count: int = 300) -> Scene:
         """What `complete` writes."""
         place = embedded_scene("tank_small")
-        truth, lens = load_truth(place), load_capture(place).intrinsics
+        truth, intrinsics = load_truth(place), load_capture(place).intrinsics
         if truth is None:
             raise ValueError("the embedded scene has lost its truth")
-        cameras = RefractiveCamera(lens, truth.rotation, truth.center, FlatInterface(1.33))
+        cameras = RefractiveCamera(intrinsics, truth.rotation, truth.center, FlatInterface(1.33))
         plane = torch.randint(len(truth.corner), (count,), generator=self.generator)
         along = torch.rand(count, 2, 1, generator=self.generator, dtype=torch.float64)
         points = truth.corner[plane] + along[:, 0] * truth.edge1[plane] + along[:, 1] * truth.edge2[plane]
         pixels, seen = cameras[:, None].project(points, inside_image=True)
         pixels = pixels + 0.5 * torch.randn(pixels.shape, generator=self.generator, dtype=torch.float64)
         registered = torch.arange(len(truth.names)) < len(truth.names) - 1
-        point, image = (seen & registered[:, None]).T.nonzero(as_tuple=True)
+        point, view = (seen & registered[:, None]).T.nonzero(as_tuple=True)
         spread = 1e-4 * torch.diag(torch.tensor((1.0, 2.0, 4.0), dtype=torch.float64))
         shift = 0.01 * torch.randn(truth.center.shape, generator=self.generator, dtype=torch.float64)
-        return Reconstruction(
+        scene = Scene.create(
+            Rigid(truth.rotation, truth.center + shift),
+            intrinsics,
+            Interfaces.level(index_ratio),
+            points,
+            Observations(view, point, pixels[view, point]),
             names=truth.names,
-            registered=registered,
-            rotation=truth.rotation,
-            center=truth.center + shift,
-            intrinsics=lens,
-            index_ratio=index_ratio,
-            length_unit="cm",
-            points=points,
             colors=torch.zeros(count, 3, dtype=torch.uint8),
-            image=image,
-            point=point,
-            pixels=pixels[image, point],
+            length_unit="cm",
+        )
+        return replace(
+            scene,
+            views=replace(scene.views, registered=registered),
             failures={truth.names[-1]: LOST},
             assessment=Assessment(center_covariance=spread.expand(int(registered.sum()), 3, 3)),
         )

@@ -11,7 +11,8 @@ from torchrefrac.files.cameras import write_cameras, write_points
 from torchrefrac.files.dense import write_dense
 from torchrefrac.files.library import embedded_scene
 from torchrefrac.files.truth import load_truth
-from torchrefrac.scene import DenseCloud, Reconstruction
+from torchrefrac.geometry import Rigid
+from torchrefrac.scene import DenseCloud, Interfaces, Observations, Scene
 from torchrefrac.sweeps.comparison import compare
 
 COMPLETE = {
@@ -24,7 +25,6 @@ COMPLETE = {
 def make_run(tmp_path, draw):
     """`make_run(name, model, capture)`: a finished run folder; other fields of metrics.json as given."""
     truth = load_truth(embedded_scene("tank_small"))
-    empty = torch.zeros(0, dtype=torch.long)
 
     def make(name, model="refractive", capture="tank", **fields):
         capture = tmp_path / capture
@@ -34,14 +34,11 @@ def make_run(tmp_path, draw):
         points = draw.uniform(-100.0, -50.0, 50, 3)
         colors = torch.zeros(50, 3, dtype=torch.uint8)
         ratio = 1.33 if model == "refractive" else 1.0
-        registered = torch.ones(8, dtype=torch.bool)
-        write_cameras(
-            Reconstruction(
-                truth.names, registered, truth.rotation, truth.center, Intrinsics.create(640, 480, 417.0), ratio, "cm",
-                points, colors, empty, empty, torch.zeros(0, 2),
-            ),
-            run / "cameras.json",
+        scene = Scene.create(
+            Rigid(truth.rotation, truth.center), Intrinsics.create(640, 480, 417.0), Interfaces.level(ratio), points,
+            Observations.none(), names=truth.names, length_unit="cm",
         )  # fmt: skip
+        write_cameras(scene, run / "cameras.json")
         write_points(points, colors, run / "points.ply")
         metrics = COMPLETE | {"model": model, "capture": str(capture)} | fields
         (run / "metrics.json").write_text(json.dumps(metrics))

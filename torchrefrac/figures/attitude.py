@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchrefrac.figures.plotting import ESTIMATE, MEASURED, TRUE, legend_above, number_images, panels, rounded
 from torchrefrac.geometry import split_heading
-from torchrefrac.scene import Capture, Reconstruction, Truth
+from torchrefrac.scene import Capture, Scene, Truth
 
 
 @dataclass(frozen=True)
@@ -31,20 +31,18 @@ class Angle:
         return None if reference is None else wrapped(self.estimated - reference)
 
 
-def attitudes(
-    scene: Reconstruction, capture: Capture | None, truth: Truth | None
-) -> tuple[Int[Tensor, " k"], list[Angle]]:
+def attitudes(scene: Scene, capture: Capture | None, truth: Truth | None) -> tuple[Int[Tensor, " k"], list[Angle]]:
     """Numbers of the registered images, and their roll, pitch and heading.
 
     Roll and pitch say by how much the right and the lower side of the image dip below the horizontal, so both are 0 of
     a camera that looks straight down. The reconstruction's heading is free: what is measured and true is turned by the
     mean difference. Heading is left out where nothing says what it was.
     """
-    images = scene.registered.nonzero()[:, 0]
-    down, heading = split_heading(scene.rotation[images])
+    images = scene.views.registered.nonzero()[:, 0]
+    down, heading = split_heading(scene.views.rotation[images])
     heading = heading[:1] + torch.cat((heading.new_zeros(1), _shortest(heading.diff()))).cumsum(dim=0)
     sensed_down = sensed_heading = true_down = true_heading = None
-    if capture is not None and capture.names == scene.names:
+    if capture is not None and capture.names == scene.views.names:
         if capture.has_gravity:
             sensed_down = capture.down_in_cam[images]
         if capture.has_heading:
@@ -121,12 +119,12 @@ def _dip(down: Float[Tensor, "k 3"], axis: int) -> Float[Tensor, " k"]:
     return down[:, axis].clamp(-1.0, 1.0).asin().rad2deg()
 
 
-def _true_rotations(scene: Reconstruction, truth: Truth, images: Int[Tensor, " k"]) -> Float[Tensor, "k 3 3"]:
+def _true_rotations(scene: Scene, truth: Truth, images: Int[Tensor, " k"]) -> Float[Tensor, "k 3 3"]:
     """cam_from_world; NaN where the truth does not have the image."""
     rotation = torch.full((len(images), 3, 3), torch.nan, dtype=torch.float64)
     for row, i in enumerate(images.tolist()):
-        if scene.names[i] in truth.names:
-            rotation[row] = truth.rotation[truth.names.index(scene.names[i])]
+        if scene.views.names[i] in truth.names:
+            rotation[row] = truth.rotation[truth.names.index(scene.views.names[i])]
     return rotation
 
 

@@ -10,14 +10,14 @@ from torch import Tensor
 from torchrefrac.figures.panels import OUTLINE, blank_figure, color_bar, outlines
 from torchrefrac.figures.plotting import SECOND, WIDTH, height_colors, legend_above
 from torchrefrac.figures.side_views import INK, WATER
-from torchrefrac.scene import Reconstruction, Truth
+from torchrefrac.scene import Scene, Truth
 
 TURN_DEG, RISE_DEG = 30.0, 28.0  # from where the oblique view looks
 SLIM, TALL = 0.35, 1.15  # a panel, its height over its width
 TAILS = (0.01, 0.99)
 
 
-def cameras_figure(shown: Reconstruction, truth: Truth | None) -> Any:
+def cameras_figure(shown: Scene, truth: Truth | None) -> Any:
     """Cloud and cameras from above and obliquely, one panel each, the cameras as the pyramids of what they see.
 
     A line joins the cameras in the order of the images; crosses are the true centres, where `truth` has them.
@@ -57,7 +57,7 @@ def cameras_figure(shown: Reconstruction, truth: Truth | None) -> Any:
     return figure
 
 
-def _draw(panel: Any, shown: Reconstruction, truth: Truth | None, frame: Float[Tensor, "3 3"], colored: Any) -> None:
+def _draw(panel: Any, shown: Scene, truth: Truth | None, frame: Float[Tensor, "3 3"], colored: Any) -> None:
     from matplotlib.collections import LineCollection  # noqa: PLC0415
 
     seen = shown.points @ frame.mT
@@ -70,23 +70,23 @@ def _draw(panel: Any, shown: Reconstruction, truth: Truth | None, frame: Float[T
     for corners in outlines(truth):
         x, y, _ = (corners @ frame.mT).numpy().T
         panel.plot(x, y, "-", color=OUTLINE, lw=1.2, zorder=1)
-    centers = shown.center[shown.registered] @ frame.mT
+    centers = shown.views.center[shown.views.registered] @ frame.mT
     panel.plot(*centers[:, :2].numpy().T, "-", color=WATER, lw=1.0, zorder=3)
     lines = (pyramids(shown) @ frame.mT)[..., :2].numpy()
     panel.add_collection(LineCollection(list(lines), colors=INK, linewidths=0.9, zorder=4))
     if truth is not None:
         x, y, _ = (truth.center @ frame.mT).numpy().T
         panel.plot(x, y, "+", ms=6, color=SECOND, zorder=5)
-    numbers = (shown.registered.nonzero()[:, 0] + 1).tolist()
+    numbers = (shown.views.registered.nonzero()[:, 0] + 1).tolist()
     for i in {0, len(numbers) - 1}:
         at = (float(centers[i, 0]), float(centers[i, 1]))
         panel.annotate(str(numbers[i]), at, (6, 6), textcoords="offset points", fontsize=9, color=INK, zorder=6)
 
 
-def pyramids(shown: Reconstruction) -> Float[Tensor, "lines 4 3"]:
+def pyramids(shown: Scene) -> Float[Tensor, "lines 4 3"]:
     """Four lines for each of the registered cameras: from the centre to two neighbouring corners of the image and back,
     so long that neighbouring cameras just do not touch."""
-    intrinsics, centers = shown.intrinsics, shown.center[shown.registered]
+    intrinsics, centers = shown.intrinsics, shown.views.center[shown.views.registered]
     width, height = float(intrinsics.width), float(intrinsics.height)
     corners = centers.new_tensor(((0.0, 0.0), (width, 0.0), (width, height), (0.0, height)))
     plane = intrinsics.plane_from_pixels(corners)
@@ -95,7 +95,7 @@ def pyramids(shown: Reconstruction) -> Float[Tensor, "lines 4 3"]:
     extent = float((centers.amax(dim=0) - centers.amin(dim=0)).max())
     nearest = float(apart.amin(dim=-1).median()) if len(centers) > 1 else 1.0
     size = 0.5 * min(max(nearest, 0.08 * extent), 0.3 * max(extent, nearest)) / float(rays.norm(dim=-1).max())
-    ends = centers[:, None] + size * rays @ shown.rotation[shown.registered]
+    ends = centers[:, None] + size * rays @ shown.views.rotation[shown.views.registered]
     apex = centers[:, None].expand_as(ends)
     return torch.stack((apex, ends, ends.roll(-1, dims=1), apex), dim=2).flatten(0, 1)
 
@@ -111,7 +111,7 @@ def _oblique() -> Float[Tensor, "3 3"]:
 
 
 def _limits(
-    shown: Reconstruction, truth: Truth | None, frame: Float[Tensor, "3 3"]
+    shown: Scene, truth: Truth | None, frame: Float[Tensor, "3 3"]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Of cameras, true planes, and all but stray points."""
     parts = [pyramids(shown).flatten(0, 1) @ frame.mT, outlines(truth).flatten(0, 1) @ frame.mT]

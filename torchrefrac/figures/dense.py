@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
@@ -19,8 +19,8 @@ from torchrefrac.evaluate.dense_metrics import INLIER_SIGMAS, MAD_TO_SIGMA, sign
 from torchrefrac.figures.panels import EMPTY, Column, Row, blank_figure, color_bar, draw_grid, outlines, rounded_up
 from torchrefrac.figures.side_views import PANEL_INCHES, TITLES, SideView, side_direction, side_view
 from torchrefrac.geometry import Similarity
+from torchrefrac.scene import Scene
 from torchrefrac.scene.dense import DenseCloud, DepthMap
-from torchrefrac.scene.reconstruction import Reconstruction
 from torchrefrac.scene.truth import Truth
 
 MOST = 150_000
@@ -55,13 +55,13 @@ def error_panel(
 def dense_view(
     model: str,
     cloud: DenseCloud,
-    reconstruction: Reconstruction,
+    scene: Scene,
     aligned: Similarity | None,
     metrics: Mapping[str, Any],
 ) -> SideView:
     """The panel of a dense cloud for `draw_dense_views`, with the cameras that it was made from."""
     points = _thin(cloud.points)
-    view = side_view(model, replace(reconstruction, points=points), aligned, metrics)
+    view = side_view(model, scene.with_points(points, _thin(cloud.colors)), aligned, metrics)
     return replace(view, caption=_caption(len(cloud), metrics, cloud.length_unit))
 
 
@@ -164,7 +164,7 @@ def _turned(side: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
     )
 
 
-def _thin(rows: Float[Tensor, "n *row"]) -> Float[Tensor, "m *row"]:
+def _thin(rows: Shaped[Tensor, "n *row"]) -> Shaped[Tensor, "m *row"]:
     """Every k-th row, MOST at most."""
     return rows[:: max(1, -(-len(rows) // MOST))]
 

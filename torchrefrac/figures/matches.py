@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrefrac.features import Features
 from torchrefrac.files.capture import read_color
 from torchrefrac.recorder import Recorder
-from torchrefrac.scene import Capture, Reconstruction
+from torchrefrac.scene import Capture, Scene
 from torchrefrac.sfm import VerifiedPair
 
 WIDTH = 1200  # of a picture, pixels
@@ -40,15 +40,15 @@ def record_matches(
         recorder.picture(f"matches/{step + 1}", torch.from_numpy(picture), 0)
 
 
-def record_residuals(capture: Capture, reconstruction: Reconstruction, recorder: Recorder) -> None:
+def record_residuals(capture: Capture, scene: Scene, recorder: Recorder) -> None:
     """Pictures of the residuals of a few images, spread over those that are registered. Nothing where the recorder
     wants none."""
     if not recorder.wants_pictures:
         return
-    rows, residuals = _residuals(reconstruction)
-    image, pixels = reconstruction.image[rows], reconstruction.pixels[rows]
+    rows, residuals = _residuals(scene)
+    image, pixels = scene.observations.view[rows], scene.observations.pixels[rows]
     factor = exaggeration(residuals, capture.intrinsics.width)
-    for i in spread(reconstruction.registered.nonzero()[:, 0], MOST_IMAGES).tolist():
+    for i in spread(scene.views.registered.nonzero()[:, 0], MOST_IMAGES).tolist():
         here = image == i
         picture = residual_picture(read_color(capture.paths[i]), pixels[here], residuals[here], factor)
         median = float(residuals[here].norm(dim=-1).median()) if bool(here.any()) else 0.0
@@ -119,11 +119,11 @@ def _best(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
     return (best + rest)[:MOST_PAIRS]
 
 
-def _residuals(reconstruction: Reconstruction) -> tuple[Int[Tensor, " k"], Float[Tensor, "k 2"]]:
+def _residuals(scene: Scene) -> tuple[Int[Tensor, " k"], Float[Tensor, "k 2"]]:
     """Which observations can be projected, and by how much the projection misses them."""
-    projected, valid = reconstruction.cameras[reconstruction.image].project(reconstruction.points[reconstruction.point])
+    projected, valid = scene.camera_of(scene.observations.view).project(scene.points[scene.observations.point])
     rows = valid.nonzero()[:, 0]
-    return rows, projected[rows] - reconstruction.pixels[rows]
+    return rows, projected[rows] - scene.observations.pixels[rows]
 
 
 def _narrow(photograph: UInt8[np.ndarray, "h w 3"], width: int) -> UInt8[np.ndarray, "height width 3"]:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.figures.plotting import ESTIMATE, PALE, SECOND, legend_above, number_images, panels
-from torchrefrac.scene import Reconstruction
+from torchrefrac.scene import Scene
 
 BINS, FEWEST = 24, 20
 STEPS_DEG = (0.5, 1.0, 2.0, 2.5, 5.0)
@@ -24,12 +24,12 @@ class Residuals:
     incidence: Float[Tensor, " n"]
 
     @classmethod
-    def of(cls, scene: Reconstruction) -> "Residuals":
+    def of(cls, scene: Scene) -> "Residuals":
         """Those of a reconstruction; observations that cannot be projected are left out."""
-        error = scene.reprojection_errors()
-        angle, valid = scene.cameras[scene.image].incidence_angle(scene.points[scene.point])
+        error = scene.errors()
+        angle, valid = scene.camera_of(scene.observations.view).incidence_angle(scene.points[scene.observations.point])
         good = error.isfinite() & valid
-        return cls(scene.image[good], error[good], angle[good].rad2deg())
+        return cls(scene.observations.view[good], error[good], angle[good].rad2deg())
 
     def of_image(self, image: int) -> "Residuals":
         rows = self.image == image

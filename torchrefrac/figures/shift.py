@@ -11,15 +11,15 @@ from torch import Tensor
 
 from torchrefrac.figures.panels import EMPTY, blank_figure, color_bar
 from torchrefrac.figures.plotting import WIDTH
-from torchrefrac.scene import Reconstruction
+from torchrefrac.scene import Scene
 
 CELLS, ARROWS = 96, 9  # across the image
 FURTHER_DEG = 8.0  # a second image is shown where it looks so much more obliquely
 
 
-def shift_images(scene: Reconstruction) -> list[int]:
+def shift_images(scene: Scene) -> list[int]:
     """The image that looks as obliquely as most do, and the most oblique one where that is another matter."""
-    images = scene.registered.nonzero()[:, 0]
+    images = scene.views.registered.nonzero()[:, 0]
     tilt = off_nadir(scene)[images]
     order = tilt.argsort()
     typical, most = int(order[(len(order) - 1) // 2]), int(order[-1])
@@ -27,12 +27,12 @@ def shift_images(scene: Reconstruction) -> list[int]:
     return [int(images[i]) for i in chosen]
 
 
-def off_nadir(scene: Reconstruction) -> Float[Tensor, " m"]:
+def off_nadir(scene: Scene) -> Float[Tensor, " m"]:
     """Angle in degrees between the optical axes and the vertical."""
-    return (-scene.rotation[:, 2, 2]).clamp(-1.0, 1.0).acos().rad2deg()
+    return (-scene.views.rotation[:, 2, 2]).clamp(-1.0, 1.0).acos().rad2deg()
 
 
-def typical_depth(scene: Reconstruction) -> float:
+def typical_depth(scene: Scene) -> float:
     """Median depth of the points below the water; 0 where none is."""
     depth = -scene.points[:, 2]
     below = depth[depth > 0.0]
@@ -40,10 +40,10 @@ def typical_depth(scene: Reconstruction) -> float:
 
 
 def shift_map(
-    scene: Reconstruction, image: int, depth: float
+    scene: Scene, image: int, depth: float
 ) -> tuple[Float[Tensor, "h w 2"], Float[Tensor, "h w 2"], Bool[Tensor, "h w"]]:
     """Pixels over an image, the shifts of what they see at `depth`, and whether there are any."""
-    camera, intrinsics = scene.cameras[image], scene.intrinsics
+    camera, intrinsics = scene.camera_of(image), scene.intrinsics
     columns = min(CELLS, intrinsics.width)
     rows = max(2, round(columns * intrinsics.height / intrinsics.width))
     pixels = intrinsics.pixel_grid(rows, columns).to(torch.float64)
@@ -54,7 +54,7 @@ def shift_map(
     return pixels, shift, valid & met & (fall < 0.0)
 
 
-def shift_figure(scene: Reconstruction, images: Sequence[int], depth: float, photographs: Sequence[Path]) -> Any:
+def shift_figure(scene: Scene, images: Sequence[int], depth: float, photographs: Sequence[Path]) -> Any:
     """A panel an image: lines of equal shift and arrows of its direction, over the photograph where it is at hand."""
     from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - slow to import
     from matplotlib.colors import Normalize  # noqa: PLC0415
@@ -83,7 +83,7 @@ def shift_figure(scene: Reconstruction, images: Sequence[int], depth: float, pho
             x[some][here[some]], y[some][here[some]], *moved[some][here[some]].T,
             angles="xy", color="black", width=0.004, pivot="mid", zorder=3,
         )  # fmt: skip
-        panel.set_title(f"image {image + 1}: {scene.names[image]}", fontsize=10)
+        panel.set_title(f"image {image + 1}: {scene.views.names[image]}", fontsize=10)
         panel.set_xticks([])
         panel.set_yticks([])
     color_bar(figure, colored, list(grid), "shift (px)")

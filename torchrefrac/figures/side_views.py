@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchrefrac.atomic import replacing
 from torchrefrac.geometry import Similarity
-from torchrefrac.scene import Reconstruction, Truth
+from torchrefrac.scene import Scene, Truth
 
 TITLES = {"none": "No refraction", "radial": "Radial distortion", "refractive": "Refraction"}
 MODEL_COLORS = {"none": "#d55e00", "radial": "#009e73", "refractive": "#0072b2"}  # told apart by the colour-blind too
@@ -31,17 +31,15 @@ class SideView:
     has_water: bool
 
 
-def side_view(
-    model: str, reconstruction: Reconstruction, aligned: Similarity | None, metrics: Mapping[str, Any]
-) -> SideView:
-    """The panel of a reconstruction, with its camera error (or its number of points) underneath."""
-    points, centers = reconstruction.points, reconstruction.center[reconstruction.registered]
-    unit = reconstruction.length_unit
+def side_view(model: str, scene: Scene, aligned: Similarity | None, metrics: Mapping[str, Any]) -> SideView:
+    """The panel of a scene, with its camera error (or its number of points) underneath."""
+    points, centers = scene.points, scene.views.center[scene.views.registered]
+    unit = scene.length_unit
     if aligned is not None:
         points, centers = aligned.apply(points), aligned.apply(centers)
     error = metrics.get(f"camera_rms_{unit}")
     caption = f"{len(points)} points" + (f", camera error {error:.3g} {unit} RMS" if error is not None else "")
-    known_frame = aligned is not None or reconstruction.index_ratio > 1.0
+    known_frame = aligned is not None or scene.index_ratio > 1.0
     return SideView(TITLES.get(model, model), caption, points, centers, unit, known_frame)
 
 

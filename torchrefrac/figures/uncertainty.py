@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchrefrac.figures.panels import blank_figure
 from torchrefrac.figures.plotting import ESTIMATE, SECOND, WIDTH, legend_above, number_images, plain_axes
-from torchrefrac.scene import Reconstruction, Truth
+from torchrefrac.scene import Scene, Truth
 
 SHARE = 0.1  # of the extent of the cameras that a typical ellipse takes
 STEPS = (1.0, 2.0, 5.0, 10.0)
@@ -34,7 +34,7 @@ def exaggeration(size: float, extent: float) -> float:
     return max(step * power for step in STEPS if step * power <= wanted * (1.0 + 1e-9))
 
 
-def uncertainty_figure(shown: Reconstruction, truth: Truth | None) -> tuple[Any, float]:
+def uncertainty_figure(shown: Scene, truth: Truth | None) -> tuple[Any, float]:
     """Ellipses of one standard deviation from above, and the standard deviation of the heights; and the factor by which
     the ellipses are exaggerated. Arrows are the true errors, by the same factor, where `truth` is given."""
     from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
@@ -43,8 +43,8 @@ def uncertainty_figure(shown: Reconstruction, truth: Truth | None) -> tuple[Any,
     covariance = shown.assessment.center_covariance
     if covariance is None:
         raise ValueError("the reconstruction has no covariance of its camera centres")
-    images, unit = shown.registered.nonzero()[:, 0], shown.length_unit
-    centers = shown.center[images]
+    images, unit = shown.views.registered.nonzero()[:, 0], shown.length_unit
+    centers = shown.views.center[images]
     extent = (centers[:, :2].amax(dim=0) - centers[:, :2].amin(dim=0)).clamp(min=1e-9)
     long, short, direction = ellipse_axes(covariance[:, :2, :2])
     factor = exaggeration(float(long.median()), float(extent.max()))
@@ -78,15 +78,15 @@ def uncertainty_figure(shown: Reconstruction, truth: Truth | None) -> tuple[Any,
     heights.set_title("height", fontsize=11)
     heights.set_ylabel(f"standard deviation ({unit})", fontsize=10)
     heights.grid(visible=False, axis="x")
-    number_images(heights, len(shown.names))
+    number_images(heights, len(shown.views.names))
     legend_above(figure, handles)
     return figure, factor
 
 
-def true_errors(shown: Reconstruction, truth: Truth, images: Int[Tensor, " k"]) -> Float[Tensor, "k 3"]:
+def true_errors(shown: Scene, truth: Truth, images: Int[Tensor, " k"]) -> Float[Tensor, "k 3"]:
     """From the true centre of each of `images` to the reconstructed one; NaN where the truth lacks it."""
     errors = torch.full((len(images), 3), torch.nan, dtype=torch.float64)
     for row, i in enumerate(images.tolist()):
-        if shown.names[i] in truth.names:
-            errors[row] = shown.center[i] - truth.center[truth.names.index(shown.names[i])]
+        if shown.views.names[i] in truth.names:
+            errors[row] = shown.views.center[i] - truth.center[truth.names.index(shown.views.names[i])]
     return errors

@@ -63,7 +63,7 @@ def load_capture(folder: str | Path) -> Capture:
 
 
 def read_intrinsics(top: Fields) -> Intrinsics:
-    """The lens that capture.json describes."""
+    """The intrinsics that capture.json describes."""
     fields = top.object("intrinsics")
     fields.only("width", "height", "fx", "fy", "cx", "cy", "distortion")
     origin = top.text("pixel_origin")

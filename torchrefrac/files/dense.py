@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from torchrefrac.files.npz import read_arrays, write_arrays
@@ -60,7 +61,7 @@ def load_dense(path: str | Path) -> DenseCloud:
     if not units:
         raise DenseFileError(f"{path} is not a dense cloud: its header lacks the comment '{UNIT} ...'")
 
-    def column(dtype: type, *names: str) -> Tensor:
+    def column(dtype: type, *names: str) -> Shaped[Tensor, "n k"]:
         values = np.empty((len(vertices), len(names)), dtype=dtype)
         for i, name in enumerate(names):
             values[:, i] = vertices[name]
@@ -114,8 +115,8 @@ def load_depth_map(path: str | Path) -> DepthMap:
     )
 
 
-def _kind_of_coordinates(points: Tensor, sigma: Tensor) -> str:
-    """NumPy type of coordinates (n, 3) with standard deviations (n): float32 unless that rounds by more than sigma."""
+def _kind_of_coordinates(points: Float[Tensor, "n 3"], sigma: Float[Tensor, " n"]) -> str:
+    """NumPy type of coordinates with standard deviations: float32 unless that rounds by more than sigma."""
     exact = sigma[sigma > 0.0]
     if not len(points) or not len(exact):
         return "f4"

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
@@ -48,8 +49,10 @@ def write_mesh(mesh: "trimesh.Trimesh", path: str | Path) -> None:
         mesh.export(file, file_type="ply", encoding="binary")
 
 
-def _triangulate(raster: Raster, max_slope_deg: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Vertices (n, 3), colours (n, 3) and faces (m, 3) on the CPU."""
+def _triangulate(
+    raster: Raster, max_slope_deg: float
+) -> tuple[Float[Tensor, "n 3"], UInt8[Tensor, "n 3"], Int[Tensor, "m 3"]]:
+    """Vertices, colours and faces on the CPU."""
     height, valid = raster.height.cpu(), raster.valid.cpu()
     if min(height.shape) < 2:
         return height.new_zeros(0, 3), raster.colors.cpu().new_zeros(0, 3), torch.zeros(0, 3, dtype=torch.long)
@@ -65,9 +68,9 @@ def _triangulate(raster: Raster, max_slope_deg: float) -> tuple[Tensor, Tensor, 
         # Without the north-east or the south-west corner the long side is the diagonal from north-west to south-east.
         fits = along if lacking in (1, 2) else ~along
         legs = [z[:, k] - z[:, right] for k in (a, b, c) if k != right]
-        kept = is_valid[:, [a, b, c]].all(dim=-1) & (fits | ~is_valid[:, lacking])
-        kept &= legs[0] ** 2 + legs[1] ** 2 <= steepest**2
-        faces.append(corner[kept][:, [a, b, c]])
+        chosen = is_valid[:, [a, b, c]].all(dim=-1) & (fits | ~is_valid[:, lacking])
+        chosen &= legs[0] ** 2 + legs[1] ** 2 <= steepest**2
+        faces.append(corner[chosen][:, [a, b, c]])
     triangles = torch.cat(faces)
     used = torch.zeros(height.numel(), dtype=torch.bool)
     used[triangles.flatten()] = True

@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Shaped
 
 from torchrefrac.atomic import replacing
 
+Array = Shaped[np.ndarray, "..."]
 KINDS = {
     "n": ("numbers", "a finite number", np.float64),
     "i": ("whole numbers", "a whole number", np.int64),
@@ -20,7 +22,7 @@ KINDS = {
 """What arrays may hold, in words for several and for one, and the type that they are read as: their own without one."""
 
 
-def write_arrays(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
+def write_arrays(arrays: Mapping[str, Array], path: str | Path) -> None:
     """Write a NumPy archive under exactly this name."""
     with replacing(Path(path)) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
@@ -28,7 +30,7 @@ def write_arrays(arrays: Mapping[str, np.ndarray], path: str | Path) -> None:
 
 def read_arrays(
     path: str | Path, wanted: Mapping[str, str], error: Callable[[str], Exception], file_format: str | None = None
-) -> dict[str, np.ndarray]:
+) -> dict[str, Array]:
     """Read the arrays that are named in `wanted` from a NumPy archive whose array `format`, if one is given, is
     `file_format`.
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Shaped
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
@@ -33,10 +34,12 @@ class DenseFileError(TorchrefracError, ValueError):
     """A file of a dense reconstruction is damaged or of another kind; the message names the file."""
 
 
-def write_vertices(columns: Sequence[tuple[str, str, Tensor]], path: Path, comments: Sequence[str] = ()) -> None:
+def write_vertices(
+    columns: Sequence[tuple[str, str, Shaped[Tensor, " n"]]], path: Path, comments: Sequence[str] = ()
+) -> None:
     """Write the vertices of a binary little-endian PLY file.
 
-    columns: name, NumPy type ("f4", "u1", ...) and values (n) of each property, in the order of the file. comments:
+    columns: name, NumPy type ("f4", "u1", ...) and values of each property, in the order of the file. comments:
     lines of the header. Raises ValueError where a comment has more than one line.
     """
     for comment in comments:
@@ -52,8 +55,8 @@ def write_vertices(columns: Sequence[tuple[str, str, Tensor]], path: Path, comme
         vertices.tofile(file)
 
 
-def read_vertices(path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
-    """The vertices of a binary PLY file, a structured array (n) with a field for each property, and its comments.
+def read_vertices(path: Path) -> tuple[Shaped[np.ndarray, " n"], tuple[str, ...]]:
+    """The vertices of a binary PLY file, a structured array with a field for each property, and its comments.
 
     Elements behind the vertices (faces) are passed over. Raises DenseFileError where the file is missing, is no binary
     PLY file, has a list among the properties of its vertices, or holds fewer bytes than its header says (or, where the

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.files.capture import read_index_ratio, read_intrinsics
@@ -11,13 +12,14 @@ from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.scene import Truth
 
 
-def load_truth(folder: Path, with_surface: bool = True) -> Truth | None:
+def load_truth(folder: str | Path, with_surface: bool = True) -> Truth | None:
     """Read `folder`/truth.json; None where there is none.
 
-    The index ratio is that of truth.json, or else, as the lens always, that of the capture.json beside it, if there is
-    one. `surface` names a file of triangles beside it that trimesh can read; it is left out unless with_surface. Raises
-    CaptureError where a file is damaged, or the one of the surface is missing.
+    The index ratio is that of truth.json, or else, as always the intrinsics, that of the capture.json beside it, if
+    there is one. `surface` names a file of triangles beside it that trimesh can read; it is left out unless
+    with_surface. Raises CaptureError where a file is damaged, or the one of the surface is missing.
     """
+    folder = Path(folder)
     path = folder / "truth.json"
     if not path.is_file():
         return None
@@ -27,7 +29,7 @@ def load_truth(folder: Path, with_surface: bool = True) -> Truth | None:
     capture = read_json(folder / "capture.json") if (folder / "capture.json").is_file() else None
     ratio_from = top if "index_ratio" in top else capture
 
-    def table(rows: list[list[float]]) -> Tensor:
+    def table(rows: list[list[float]]) -> Float[Tensor, "n 3"]:
         return torch.tensor(rows, dtype=torch.float64).reshape(-1, 3)
 
     return Truth(

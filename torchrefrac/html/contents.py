@@ -5,18 +5,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.evaluate.metrics import evaluate
-from torchrefrac.files.cameras import load_cameras, load_points
+from torchrefrac.files.cameras import CAMERAS, load_points, read_cameras
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.run import RunRecord
-from torchrefrac.files.tracks import read_run
+from torchrefrac.files.tracks import TRACKS, read_run
 from torchrefrac.files.truth import load_truth
-from torchrefrac.geometry import Similarity
-from torchrefrac.scene import Alignment, Assessment, Capture, Reconstruction, Truth
+from torchrefrac.geometry import Rigid, Similarity
+from torchrefrac.scene import Assessment, Capture, Scene, Truth
 
 T = TypeVar("T")
 UNREADABLE = (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError)  # of files that are damaged
@@ -28,13 +27,13 @@ class RunContents:
     """A run, however far it got; None or empty for what is missing, and `notes` say why.
 
     options: the text of all options; overrides: those of the command line as KEY=VALUE. `aligned` maps the frame of the
-    reconstruction to that of the truth.
+    scene to that of the truth.
     """
 
     record: RunRecord
     options: str = ""
     overrides: tuple[str, ...] = ()
-    reconstruction: Reconstruction | None = None
+    scene: Scene | None = None
     capture: Capture | None = None
     truth: Truth | None = None
     aligned: Similarity | None = None
@@ -43,17 +42,17 @@ class RunContents:
     @property
     def unit(self) -> str:
         """The length unit; empty where nothing says it."""
-        for source in (self.reconstruction, self.truth, self.capture):
+        for source in (self.scene, self.truth, self.capture):
             if source is not None:
                 return source.length_unit
         return self.record.length_unit
 
     @property
-    def shown(self) -> Reconstruction | None:
-        """The reconstruction in the frame of the truth, where there is one."""
-        if self.reconstruction is None or self.aligned is None:
-            return self.reconstruction
-        return _moved(self.reconstruction, self.aligned)
+    def shown(self) -> Scene | None:
+        """The scene in the frame of the truth, where there is one."""
+        if self.scene is None or self.aligned is None:
+            return self.scene
+        return _moved(self.scene, self.aligned)
 
 
 Truths = dict[Path, Truth | None]
@@ -67,7 +66,7 @@ def read_contents(folder: Path, truths: Truths, with_capture: bool = True) -> Ru
     """
     notes: list[str] = []
     record = _attempt(lambda: RunRecord.read(folder), notes) or RunRecord(folder)
-    reconstruction = _attempt(lambda: _reconstruction(folder), notes, "The cameras and points cannot be read: ")
+    scene = _attempt(lambda: _scene(folder), notes, "The cameras and points cannot be read: ")
     place = record.capture
     truth = capture = aligned = None
     if place is not None and place.is_dir():
@@ -77,11 +76,11 @@ def read_contents(folder: Path, truths: Truths, with_capture: bool = True) -> Ru
         capture = _attempt(lambda: load_capture(place), notes) if with_capture else None
     elif place is not None:
         notes.append(f"The photographs are not in {place} any more: what needs them or their truth is left out.")
-    if reconstruction is not None and truth is not None:
-        aligned = evaluate(replace(reconstruction, points=reconstruction.points[:0]), truth)[1]  # cameras decide it
+    if scene is not None and truth is not None:
+        aligned = evaluate(scene.with_points(scene.points[:0], scene.colors[:0]), truth)[1]  # cameras decide it
         truth = truth if aligned is not None else None
     options, overrides = _text(folder / OPTIONS), _overrides(record)
-    return RunContents(record, options, overrides, reconstruction, capture, truth, aligned, tuple(dict.fromkeys(notes)))
+    return RunContents(record, options, overrides, scene, capture, truth, aligned, tuple(dict.fromkeys(notes)))
 
 
 def _overrides(record: RunRecord) -> tuple[str, ...]:
@@ -112,41 +111,22 @@ def _attempt(read: Callable[[], T], notes: list[str], about: str = "") -> T | No
         return None
 
 
-def _reconstruction(folder: Path) -> Reconstruction | None:
+def _scene(folder: Path) -> Scene | None:
     """With points and observations, or points alone where an old run has no tracks.npz."""
-    if not (folder / "cameras.json").is_file():
+    if not (folder / CAMERAS).is_file():
         return None
-    cameras = load_cameras(folder / "cameras.json")
-    if (folder / "tracks.npz").is_file() and bool(cameras.registered.any()):
-        return _with_tracks(cameras, read_run(folder))
-    if (folder / "points.ply").is_file():
-        points, colors = load_points(folder / "points.ply")
-        return replace(cameras, points=points, colors=colors)
-    return cameras
+    cameras = read_cameras(folder / CAMERAS)
+    if (folder / TRACKS).is_file() and bool(cameras.views.registered.any()):
+        return read_run(folder)
+    points = folder / "points.ply"
+    return cameras.with_points(*load_points(points)) if points.is_file() else cameras
 
 
-def _with_tracks(cameras: Reconstruction, tracks: Alignment) -> Reconstruction:
-    number = torch.tensor([cameras.names.index(name) for name in tracks.names])
-    return replace(
-        cameras,
-        points=tracks.points,
-        colors=tracks.colors,
-        image=number[tracks.image],
-        point=tracks.point,
-        pixels=tracks.pixels,
-    )
-
-
-def _moved(scene: Reconstruction, change: Similarity) -> Reconstruction:
+def _moved(scene: Scene, change: Similarity) -> Scene:
     known, covariance = scene.assessment, scene.assessment.center_covariance
     moved = Assessment() if covariance is None else replace(known, center_covariance=_turned(covariance, change))
-    return replace(
-        scene,
-        rotation=change.apply_to_rotation(scene.rotation),
-        center=change.apply(scene.center),
-        points=change.apply(scene.points),
-        assessment=moved,
-    )
+    pose = Rigid(change.apply_to_rotation(scene.views.rotation), change.apply(scene.views.center))
+    return replace(scene, views=replace(scene.views, pose=pose), points=change.apply(scene.points), assessment=moved)
 
 
 def _turned(covariance: Float[Tensor, "k 3 3"], change: Similarity) -> Float[Tensor, "k 3 3"]:

@@ -14,7 +14,7 @@ from torchrefrac.figures.uncertainty import uncertainty_figure
 from torchrefrac.html.contents import RunContents
 from torchrefrac.html.embed import Picture, picture, png, svg
 from torchrefrac.html.words import rounded
-from torchrefrac.scene import Reconstruction, Truth
+from torchrefrac.scene import Scene, Truth
 
 DENSE_PICTURES = (
     ("dense_view.png", "The dense surface", "The dense points obliquely and from the side, coloured by height.",
@@ -46,9 +46,9 @@ def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Draw
     views: list[SideView] = []
     truth: Truth | None = None
     for i, run in enumerate(runs):
-        if run.reconstruction is None or not bool(run.reconstruction.registered.any()):
+        if run.scene is None or not bool(run.scene.views.registered.any()):
             continue
-        view = side_view(run.record.model or "?", run.reconstruction, run.aligned, run.record.metrics)
+        view = side_view(run.record.model or "?", run.scene, run.aligned, run.record.metrics)
         caption = view.caption.replace(", ", "\n")
         views.append(replace(view, title=titles[i] if titles else view.title, caption=caption))
         truth = truth or run.truth
@@ -74,7 +74,7 @@ def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Draw
     )
 
 
-def draw_cameras(shown: Reconstruction, truth: Truth | None) -> Drawn:
+def draw_cameras(shown: Scene, truth: Truth | None) -> Drawn:
     """Figure 5."""
     return Drawn(
         title="Figure 5. The path of the camera",
@@ -98,7 +98,7 @@ def draw_attitude(run: RunContents) -> Drawn | None:
         return None
     return Drawn(
         title="Figure 6. Attitude of the cameras",
-        picture=svg(attitude_figure(images, angles, len(scene.names))),
+        picture=svg(attitude_figure(images, angles, len(scene.views.names))),
         alt="Estimated, measured and true roll, pitch and heading of each image",
         caption="Roll and pitch: by how much the right and the lower side of the photograph dip below the horizontal "
         f"(both 0 when looking straight down). {attitude_words(angles)}"
@@ -109,14 +109,14 @@ def draw_attitude(run: RunContents) -> Drawn | None:
     )
 
 
-def draw_residuals(residuals: Residuals, scene: Reconstruction) -> list[Drawn]:
+def draw_residuals(residuals: Residuals, scene: Scene) -> list[Drawn]:
     """By image and by angle of incidence."""
     water = scene.index_ratio > 1.0
     by_angle = "angle at which the ray met the water (0° is straight down)" if water else "angle from the vertical"
     return [
         Drawn(
             title="Residuals by photograph",
-            picture=svg(by_image_figure(residuals, scene.registered)),
+            picture=svg(by_image_figure(residuals, scene.views.registered)),
             alt="Median and ninety per cent bound of the reprojection error of each image",
             caption="Distance between where a point is seen and where the reconstruction puts it, in pixels.",
             look="All about equally low. One photograph that sticks out is blurred, moved, or placed wrongly.",
@@ -136,13 +136,13 @@ def draw_residuals(residuals: Residuals, scene: Reconstruction) -> list[Drawn]:
 
 def draw_shift(run: RunContents) -> Drawn | None:
     """Refraction shift map; None where the model has no water or no point lies in it."""
-    scene = run.reconstruction
+    scene = run.scene
     if scene is None or scene.index_ratio <= 1.0:
         return None
     depth = typical_depth(scene)
     if depth <= 0.0:
         return None
-    paths = run.capture.paths if run.capture is not None and run.capture.names == scene.names else ()
+    paths = run.capture.paths if run.capture is not None and run.capture.names == scene.views.names else ()
     return Drawn(
         title="How far the water moves things",
         picture=png(shift_figure(scene, shift_images(scene), depth, paths)),
@@ -155,7 +155,7 @@ def draw_shift(run: RunContents) -> Drawn | None:
     )
 
 
-def draw_uncertainty(shown: Reconstruction, truth: Truth | None) -> Drawn | None:
+def draw_uncertainty(shown: Scene, truth: Truth | None) -> Drawn | None:
     """None where the run has no covariances."""
     if shown.assessment.center_covariance is None:
         return None

@@ -44,8 +44,8 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
     others = [
         read_contents(other, truths, with_capture=False) for other in compared if other.resolve() != run.resolve()
     ]
-    scene = contents.reconstruction
-    residuals = Residuals.of(scene) if scene is not None and len(scene.image) else None
+    scene = contents.scene
+    residuals = Residuals.of(scene) if scene is not None and len(scene.observations.view) else None
     residuals = residuals if residuals is not None and len(residuals) else None
     write_page(
         "run.html",
@@ -110,7 +110,7 @@ def _table(run: RunContents, others: Sequence[RunContents]) -> Any:
 
 def _figures(run: RunContents, others: Sequence[RunContents], residuals: Residuals | None) -> list[drawn.Drawn]:
     shown = run.shown
-    if shown is None or not bool(shown.registered.any()):
+    if shown is None or not bool(shown.views.registered.any()):
         return []
     every = _in_order([run, *others])
     beside = every if len(every) <= MOST_PANELS else [run]
@@ -119,8 +119,8 @@ def _figures(run: RunContents, others: Sequence[RunContents], residuals: Residua
         drawn.draw_cameras(shown, run.truth),
         drawn.draw_attitude(run),
     ]
-    if residuals is not None and run.reconstruction is not None:
-        found += drawn.draw_residuals(residuals, run.reconstruction)
+    if residuals is not None and run.scene is not None:
+        found += drawn.draw_residuals(residuals, run.scene)
     found += [drawn.draw_shift(run), drawn.draw_uncertainty(shown, run.truth)]
     return [figure for figure in found if figure is not None]
 

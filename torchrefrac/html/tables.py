@@ -113,7 +113,7 @@ def photograph_heads(contents: RunContents) -> list[str]:
 def photographs(contents: RunContents, residuals: Residuals | None) -> list[Photograph]:
     """The table of images; before there are cameras the names, and pictures, of the capture."""
     scene, capture = contents.shown, contents.capture
-    names = scene.names if scene is not None else capture.names if capture is not None else ()
+    names = scene.views.names if scene is not None else capture.names if capture is not None else ()
     paths = dict(zip(capture.names, capture.paths, strict=True)) if capture is not None else {}
     cells = {} if scene is None else _placed_cells(contents, residuals)
     return [
@@ -133,12 +133,12 @@ def _placed_cells(contents: RunContents, residuals: Residuals | None) -> dict[in
     scene = contents.shown
     if scene is None:
         return {}
-    images = scene.registered.nonzero()[:, 0]
+    images = scene.views.registered.nonzero()[:, 0]
     tilt, covariance = off_nadir(scene), scene.assessment.center_covariance
     errors = None if contents.truth is None else true_errors(scene, contents.truth, images).norm(dim=-1).tolist()
     cells = {}
     for row, i in enumerate(images.tolist()):
-        cells[i] = [rounded(float(scene.center[i, 2]), 4), f"{float(tilt[i]):.1f}", *_seen(residuals, i)]
+        cells[i] = [rounded(float(scene.views.center[i, 2]), 4), f"{float(tilt[i]):.1f}", *_seen(residuals, i)]
         if covariance is not None:
             cells[i].append(rounded(float(covariance[row].trace() / 3.0) ** 0.5))
         if errors is not None:

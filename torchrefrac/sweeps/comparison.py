@@ -1,7 +1,6 @@
 """Several runs of one scene side by side: the paper's Table 1 and Figure 1, and the same of dense surfaces."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from torchrefrac.atomic import replacing
@@ -9,12 +8,12 @@ from torchrefrac.evaluate.dense_metrics import FOUND, TYPICAL
 from torchrefrac.evaluate.metrics import evaluate
 from torchrefrac.figures.dense import dense_view, draw_dense_views, draw_error_map, error_panel
 from torchrefrac.figures.side_views import TITLES, draw_side_views, side_view
-from torchrefrac.files.cameras import load_cameras, load_points
+from torchrefrac.files.cameras import CAMERAS, load_points, read_cameras
 from torchrefrac.files.dense import load_dense
 from torchrefrac.files.run import DENSE_CLOUD, RunRecord
 from torchrefrac.files.truth import load_truth
 from torchrefrac.geometry import Similarity
-from torchrefrac.scene import Reconstruction, Truth
+from torchrefrac.scene import Scene, Truth
 from torchrefrac.sweeps.design import failed_first, has_paper_form, load_runs, scenes_of, what_varied
 from torchrefrac.sweeps.markdown import decimals, markdown_table
 from torchrefrac.sweeps.pictured import FIGURES, shown_together
@@ -51,7 +50,7 @@ def compare(runs: Sequence[Path], folder: Path) -> str:
 
 
 def _has_results(job: RunRecord) -> bool:
-    return all((job.folder / name).is_file() for name in ("cameras.json", "points.ply"))
+    return all((job.folder / name).is_file() for name in (CAMERAS, "points.ply"))
 
 
 def _draw(jobs: Sequence[RunRecord], folder: Path, end: str) -> None:
@@ -62,27 +61,26 @@ def _draw(jobs: Sequence[RunRecord], folder: Path, end: str) -> None:
     names = [f"{kind}{end}" for kind in FIGURES]
     views, dense = [], []
     for job, title in zip(jobs, _titles(jobs), strict=True):
-        points, colors = load_points(job.folder / "points.ply")
-        reconstruction = replace(load_cameras(job.folder / "cameras.json"), points=points, colors=colors)
-        aligned = evaluate(reconstruction, truth)[1] if truth is not None else None
-        views.append(side_view(title, reconstruction, aligned, job.metrics))
+        scene = read_cameras(job.folder / CAMERAS).with_points(*load_points(job.folder / "points.ply"))
+        aligned = evaluate(scene, truth)[1] if truth is not None else None
+        views.append(side_view(title, scene, aligned, job.metrics))
         if "dense_points" in job.metrics and (job.folder / DENSE_CLOUD).is_file():
-            dense.append((title, job, reconstruction, aligned))
+            dense.append((title, job, scene, aligned))
     draw_side_views(views, truth, folder / names[0])
     if dense:
         _draw_dense(dense, truth, folder / names[1], folder / names[2])
 
 
 def _draw_dense(
-    shown: Sequence[tuple[str, RunRecord, Reconstruction, Similarity | None]],
+    shown: Sequence[tuple[str, RunRecord, Scene, Similarity | None]],
     truth: Truth | None,
     views_path: Path,
     map_path: Path,
 ) -> None:
     views, panels = [], []
-    for title, job, reconstruction, aligned in shown:
+    for title, job, scene, aligned in shown:
         cloud = load_dense(job.folder / DENSE_CLOUD)
-        views.append(dense_view(title, cloud, reconstruction, aligned, job.metrics))
+        views.append(dense_view(title, cloud, scene, aligned, job.metrics))
         if truth is not None and aligned is not None and len(truth.corner):
             panels.append(error_panel(title, cloud, aligned, truth, job.metrics))
     draw_dense_views(views, truth, views_path)

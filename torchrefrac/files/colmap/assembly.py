@@ -5,13 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from torchrefrac.files.colmap.tables import NO_POINT, CameraRow, ImageTable, PointTable, intrinsics_of, row_of
 from torchrefrac.geometry import Rigid, rotate
 from torchrefrac.geometry.rotation import _quaternion
 from torchrefrac.scene import Interfaces, Observations, Scene, SceneError
+
+Rows = Int[np.ndarray, " k"]
 
 
 def assemble(
@@ -71,14 +73,14 @@ def _check_images(images: ImageTable, path: Path) -> None:
 
 def _observations(
     images: ImageTable, points: PointTable, images_path: Path, points_path: Path
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Row among the features, row of the image and row of the point of each element of the tracks (N)."""
+) -> tuple[Rows, Rows, Rows]:
+    """Row among the features, row of the image and row of the point of each element of the tracks."""
     point = np.repeat(np.arange(len(points.ids)), points.lengths)
     order = np.argsort(images.ids)
     place = np.searchsorted(images.ids, points.images, sorter=order)
     image = order[np.minimum(place, len(order) - 1)] if len(order) else np.zeros_like(place)
 
-    def refuse(wrong: np.ndarray, problem: Callable[[int], str]) -> None:
+    def refuse(wrong: Bool[np.ndarray, " k"], problem: Callable[[int], str]) -> None:
         if wrong.any():
             i = int(wrong.argmax())
             raise SceneError(
@@ -118,14 +120,14 @@ def _observations(
     return feature, image, point
 
 
-def _require_finite(values: np.ndarray, path: Path, record: Callable[[int], str], what: str) -> None:
+def _require_finite(values: Float[np.ndarray, "n d"], path: Path, record: Callable[[int], str], what: str) -> None:
     finite = np.isfinite(values).all(axis=1)
     if not finite.all():
         i = int(finite.argmin())
         raise SceneError(f"{path}: {record(i)} has the {what} {values[i].tolist()}, but it must be finite; remove it")
 
 
-def _sorted_by_id(ids: np.ndarray, path: Path, kind: str) -> np.ndarray:
+def _sorted_by_id(ids: Rows, path: Path, kind: str) -> Rows:
     """Rows in the order of their ids, which must differ."""
     order = np.argsort(ids)
     repeated = np.diff(ids[order]) == 0
@@ -136,7 +138,7 @@ def _sorted_by_id(ids: np.ndarray, path: Path, kind: str) -> np.ndarray:
     return order
 
 
-def _ranks(order: np.ndarray) -> np.ndarray:
+def _ranks(order: Rows) -> Rows:
     """The new place of each row that is moved to `order`."""
     ranks = np.empty_like(order)
     ranks[order] = np.arange(len(order))
@@ -177,7 +179,7 @@ def tables_of(scene: Scene, errors: Float[Tensor, "..."] | None) -> tuple[list[C
     return [row_of(scene.cameras[i], i + 1) for i in range(len(scene.cameras))], images, points
 
 
-def _array(values: Shaped[Tensor, "..."]) -> np.ndarray:
+def _array(values: Shaped[Tensor, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
     return values.detach().cpu().numpy()
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float, Int, UInt8
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.scene import SceneError
@@ -43,37 +44,37 @@ class CameraRow:
 
 @dataclass(frozen=True, eq=False)
 class ImageTable:
-    """m images with their K features, in the order of the file.
+    """Images with their features, in the order of the file.
 
-    ids (m), quaternions wxyz (m, 4) and translations (m, 3) cam_from_world, cameras (m) ids. The features of image i
-    are rows starts[i] to starts[i + 1] of pixels (K, 2) and points (K), which holds point ids or NO_POINT.
+    Quaternions (wxyz) and translations are cam_from_world; cameras are ids. The features of image i are rows starts[i]
+    to starts[i + 1] of pixels and points, which holds point ids or NO_POINT.
     """
 
     names: tuple[str, ...]
-    ids: np.ndarray
-    quaternions: np.ndarray
-    translations: np.ndarray
-    cameras: np.ndarray
-    starts: np.ndarray
-    pixels: np.ndarray
-    points: np.ndarray
+    ids: Int[np.ndarray, " m"]
+    quaternions: Float[np.ndarray, "m 4"]
+    translations: Float[np.ndarray, "m 3"]
+    cameras: Int[np.ndarray, " m"]
+    starts: Int[np.ndarray, " m+1"]
+    pixels: Float[np.ndarray, "k 2"]
+    points: Int[np.ndarray, " k"]
 
 
 @dataclass(frozen=True, eq=False)
 class PointTable:
-    """n points with their tracks of N elements in all, in the order of the file.
+    """Points with the elements of their tracks, in the order of the file.
 
-    ids (n), positions (n, 3), colors (n, 3) uint8, errors (n) in pixels or -1, lengths (n) of the tracks; images (N)
-    ids and features (N), the place of each element among the features of its image.
+    errors in pixels or -1; lengths of the tracks; images: ids; features: the place of each element among the features
+    of its image.
     """
 
-    ids: np.ndarray
-    positions: np.ndarray
-    colors: np.ndarray
-    errors: np.ndarray
-    lengths: np.ndarray
-    images: np.ndarray
-    features: np.ndarray
+    ids: Int[np.ndarray, " n"]
+    positions: Float[np.ndarray, "n 3"]
+    colors: UInt8[np.ndarray, "n 3"]
+    errors: Float[np.ndarray, " n"]
+    lengths: Int[np.ndarray, " n"]
+    images: Int[np.ndarray, " k"]
+    features: Int[np.ndarray, " k"]
 
 
 def parameter_count(model: str, camera: int, path: Path) -> int:
