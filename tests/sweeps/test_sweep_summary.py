@@ -7,16 +7,16 @@ import math
 
 import cv2
 import pytest
+
+from torchrefrac.figures.panels import blank_figure
+from torchrefrac.figures.side_views import MODEL_COLORS, TITLES
+from torchrefrac.sweeps import write_summary
 from torchrefrac.sweeps.axes import set_heights
 from torchrefrac.sweeps.figure import measures_of
 from torchrefrac.sweeps.jobs import Job, load_job, load_jobs, short_keys, what_varied
 from torchrefrac.sweeps.lines import lines_of, spots_of
 from torchrefrac.sweeps.pictured import shown_together
 from torchrefrac.sweeps.table import csv_text, results_table
-
-from torchrefrac.figures.panels import blank_figure
-from torchrefrac.figures.side_views import MODEL_COLORS, TITLES
-from torchrefrac.sweeps import write_summary
 
 MODELS = ("none", "radial", "refractive")
 KNOWN = {
