@@ -30,7 +30,7 @@ class Ended:
     err: str
 
 
-def _command(arguments, folder, patch, reports):
+def run_command(arguments, folder, patch, reports=False):
     """Exit status of the command, run in `folder`."""
     patch.chdir(folder)
     patch.setenv("TORCHREFRAC_CACHE", str(folder / "cache"))
@@ -51,7 +51,7 @@ def torchrefrac(monkeypatch, capsys, tmp_path):
     """Runs the command in an empty folder; report.html, which takes seconds, is written where reports=True alone."""
 
     def run(*arguments, reports=False):
-        status = _command(arguments, tmp_path, monkeypatch, reports)
+        status = run_command(arguments, tmp_path, monkeypatch, reports)
         captured = capsys.readouterr()
         return Ended(status, captured.out, captured.err)
 
@@ -85,7 +85,7 @@ def complete_run(made_once):
         capture = _copy_part_of_tank([0, 1, 2, 3], folder / "part_of_tank")
         out, err = io.StringIO(), io.StringIO()
         with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-            status = _command(["scene=capture", f"scene.path={capture}", "out=run"], folder, patch, reports=False)
+            status = run_command(["scene=capture", f"scene.path={capture}", "out=run"], folder, patch)
         (folder / "ended.json").write_text(json.dumps([status, out.getvalue(), err.getvalue()]))
 
     folder = made_once("complete_run", make)
