@@ -3,7 +3,7 @@
 import pytest
 from hydra import compose, initialize_config_dir
 
-from torchrefrac.cli import commands, sweeps
+from torchrefrac.cli import commands
 from torchrefrac.cli.composed import run_options
 from torchrefrac.cli.conf import CONF
 from torchrefrac.files.run import RunRecord
@@ -18,11 +18,12 @@ def jobs(monkeypatch):
 
     def remember(folder, options, settings):
         seen.append(options)
-        about = {"status": "complete", "stages": [], "model": options.reconstruction.model.name}
-        RunRecord.of(folder, about).write()
+        measured = {"images": 2, "registered_images": 2, "points": 9, "reprojection_median_px": 0.1}
+        told = {"model": options.reconstruction.model.name, "capture": options.scene.label, "gravity": "measured"}
+        RunRecord.of(folder, {"status": "complete", "stages": [], "seconds_total": 0.1} | told | measured).write()
 
     monkeypatch.setattr(commands, "reconstruct_into", remember)
-    monkeypatch.setattr(sweeps, "_write", lambda folder, runs, config: [])
+    monkeypatch.setattr("torchrefrac.sweeps.summary.draw_sweep", lambda *_: False)
     return seen
 
 

@@ -21,8 +21,6 @@ from typing import Any, Literal
 
 HERE = Path(__file__).resolve().parent
 BASELINE = HERE / "baseline.json"
-TOLERANCE = {"": 0.02, "s": 0.2, "ms": 0.2, "x": 0.1, "GiB": 0.1}
-"""Of a figure that is new, by its unit: by what share it may be worse."""
 
 _target: list[Path] = []
 
@@ -34,10 +32,14 @@ def bench_parser(description: str) -> argparse.ArgumentParser:
     return parser
 
 
-def figure(name: str, value: float, unit: str, better: Literal["lower", "higher"]) -> None:
-    """Append a figure, one JSON object a line, to the file given as `--json`; what is not finite was not measured."""
+def figure(name: str, value: float, unit: str, better: Literal["lower", "higher"], tolerance: float = 0.05) -> None:
+    """Append a figure, one JSON object a line, to the file given as `--json`; what is not finite was not measured.
+
+    tolerance: by what share it may become worse, where baseline.json does not know the figure yet.
+    """
     if _target and math.isfinite(value):
-        line = json.dumps({"name": name, "value": float(value), "unit": unit, "better": better})
+        content = {"name": name, "value": float(value), "unit": unit, "better": better, "tolerance": tolerance}
+        line = json.dumps(content)
         with _target[-1].open("a", encoding="utf-8") as file:
             file.write(line + "\n")
 
@@ -99,8 +101,7 @@ def _write(known: dict[str, dict[str, Any]], found: dict[str, dict[str, Any]]) -
     """Values that were not measured this time stay as they are."""
     today, machine = date.today().isoformat(), f"{platform.machine()}, {platform.python_version()}"
     for name, entry in found.items():
-        tolerance = known.get(name, {}).get("tolerance", TOLERANCE.get(entry["unit"], 0.1))
-        rounded = float(f"{entry['value']:.4g}")
+        rounded, tolerance = float(f"{entry['value']:.4g}"), known.get(name, entry)["tolerance"]
         known[name] = entry | {"value": rounded, "tolerance": tolerance, "measured": today}
     lines = [f"    {json.dumps(name)}: {json.dumps(entry)}" for name, entry in known.items()]
     text = f'{{\n  "machine": {json.dumps(machine)},\n  "figures": {{\n' + ",\n".join(lines) + "\n  }\n}\n"

@@ -80,7 +80,7 @@ def _show(label: str, result: dict[str, Any], peer: dict[str, Any] | None = None
     each = result["seconds"] / result["steps"]
     ratio = f"{each / (peer['seconds'] / peer['steps']):.2f}" if peer else ""
     if peer:
-        figure(f"{label}: time of a step to Ceres's", each / (peer["seconds"] / peer["steps"]), "x", "lower")
+        figure(f"{label}: time of a step to Ceres's", each / (peer["seconds"] / peer["steps"]), "x", "lower", 0.2)
         figure(f"{label}: memory to Ceres's", result["peak"] / peer["peak"], "x", "lower")
     print(
         f"{label:<34} {each:>9.3f} {ratio:>6} {result['steps']:>6} {result['cost']:>17.9g} {result['seconds']:>7.2f} "

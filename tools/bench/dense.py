@@ -87,7 +87,7 @@ def sampling(count: int = 2000) -> None:
     rates = {name: count * 49 / _seconds(way) / 1e6 for name, way in ways.items()}
     for name, rate in rates.items():
         print(f"  {name:<24} {rate:6.1f} M samples/s  {rate / rates['grid_sample']:5.2f}x")
-    figure("grid_sample, to kornia.warp_affine", rates["grid_sample"] / rates["kornia.warp_affine"], "x", "higher")
+    figure("grid_sample, to kornia.warp_affine", rates["grid_sample"] / rates["kornia.warp_affine"], "x", "higher", 0.2)
 
 
 def patches(folder: Path) -> None:
@@ -120,7 +120,7 @@ def patches(folder: Path) -> None:
         print(
             f"  adjusting in up to {views} other images: {rate:6.0f} patches/s, {believed / len(chosen):.1%} believed"
         )
-        figure(f"adjusting in up to {views} other images", rate, "patches/s", "higher")
+        figure(f"adjusting in up to {views} other images", rate, "patches/s", "higher", 0.2)
 
 
 def runs(folder: Path, methods: list[str], models: list[str]) -> None:
@@ -145,7 +145,7 @@ def runs(folder: Path, methods: list[str], models: list[str]) -> None:
                 figure(f"{label}: accurate", _figure(m, "dense_accuracy_within_0.2_")[0], "", "higher")
                 figure(f"{label}: complete", _figure(m, "dense_completeness_within_0.5_")[0], "", "higher")
                 figure(f"{label}: plane RMS", rms, unit, "lower")
-                figure(f"{label}: dense stage", m["seconds_dense"], "s", "lower")
+                figure(f"{label}: dense stage", m["seconds_dense"], "s", "lower", 0.2)
                 figure(f"{label}: memory", m["peak"], "GiB", "lower")
 
 

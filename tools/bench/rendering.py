@@ -53,7 +53,7 @@ def _time(options: SyntheticOptions) -> None:
         f"{max(walls):.2f}), {min(processors):.2f} s of processor time; {once:.1f} s once",
         flush=True,
     )
-    figure(f"{options.name}: processor time of an image", min(processors), "s", "lower")
+    figure(f"{options.name}: processor time of an image", min(processors), "s", "lower", 0.2)
 
 
 def _agree() -> None:

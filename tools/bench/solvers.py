@@ -64,7 +64,7 @@ def _report_minimal(problems: int) -> None:
                 four, seven, two = (found < 1e-6).double().mean(dim=0).tolist()
                 print(f"{geometry + ', noise-free: true pose found':<44}{four:>10.2%}{seven:>10.2%}{two:>10.2%}")
                 for points, share in ((4, four), (7, seven), (2, two)):
-                    figure(f"{geometry}, noise-free, {points}-point: true pose found", share, "", "higher")
+                    figure(f"{geometry}, noise-free, {points}-point: true pose found", share, "", "higher", 0.03)
             else:
                 four, seven, two = found.median(dim=0).values.tolist()
                 label = f"{geometry}, {noise} px: median position error"
@@ -124,7 +124,7 @@ def _report_relative(run: Callable) -> None:
                     f"{ratio:>8.3f}{1e3 * seconds.median():>8.0f}{samples.median():>9.0f}",
                     flush=True,
                 )
-                figure(f"relative pose, {label}: right", float(right.double().mean()), "", "higher")
+                figure(f"relative pose, {label}: right", float(right.double().mean()), "", "higher", 0.03)
                 figure(f"relative pose, {label}: over the bound", float(ratio), "x", "lower")
 
 
@@ -160,7 +160,7 @@ def _report_absolute(run: Callable) -> None:
                 f"{'':>8}{1e3 * seconds.median():>8.0f}{samples.median():>9.0f}",
                 flush=True,
             )
-            figure(f"absolute pose, {label}: right", float(right.double().mean()), "", "higher")
+            figure(f"absolute pose, {label}: right", float(right.double().mean()), "", "higher", 0.03)
             figure(f"absolute pose, {label}: position", float(position.median()), "of height", "lower")
 
 
@@ -194,7 +194,7 @@ def _report_vertical(run: Callable) -> None:
                 flush=True,
             )
             found = float((angle < 1.0).double().mean())
-            figure(f"unknown verticals, {geometry}, {outliers:.0%} outliers: within 1 deg", found, "", "higher")
+            figure(f"unknown verticals, {geometry}, {outliers:.0%} outliers: within 1 deg", found, "", "higher", 0.03)
 
 
 def _vertical(geometry: str, outliers: float, seed: int) -> tuple[float, float, float]:
@@ -225,7 +225,7 @@ def _report_speed() -> None:
             ]
             mine, peer, at_will = 1e3 * np.median(np.array(times[2:]), axis=0)
             print(f"{f'{geometry}, {name}':<44}{mine:>7.1f} ms{peer:>7.1f} ms{mine / peer:>8.2f}{at_will:>7.1f} ms")
-            figure(f"{geometry}, {name}: time to PoseLib's", mine / peer, "x", "lower")
+            figure(f"{geometry}, {name}: time to PoseLib's", mine / peer, "x", "lower", 0.2)
     _report_scoring()
 
 

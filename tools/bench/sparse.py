@@ -35,7 +35,7 @@ def main() -> None:
             if model == "refractive":
                 figure(f"{name}: camera RMS", error, unit, "lower")
                 figure(f"{name}: points", m["points"], "points", "higher")
-                figure(f"{name}: wall time", m["wall"], "s", "lower")
+                figure(f"{name}: wall time", m["wall"], "s", "lower", 0.2)
                 figure(f"{name}: memory", m["peak"], "GiB", "lower")
             else:
                 figure(f"{name}: camera RMS of {model} to refractive", error / best, "x", "higher")

@@ -63,7 +63,7 @@ def main() -> None:
         for name, ratio, coverage in study(scene, positions, arguments.draws, arguments.seed):
             print(f"{told + name:<34} {ratio:>12.3f} {100.0 * coverage:>13.1f} %")
             figure(f"{told + name}, RMS over the bound", ratio, "x", "lower")
-            figure(f"{told + name}, truth in the 95 % region", coverage, "", "higher")
+            figure(f"{told + name}, truth in the 95 % region", coverage, "", "higher", 0.03)
         print(f"{'':<34} {time.perf_counter() - start:.0f} s")
 
 
