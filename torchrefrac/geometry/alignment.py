@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.geometry.gravity import heading_rotation
@@ -12,21 +13,21 @@ from torchrefrac.geometry.gravity import heading_rotation
 class Similarity:
     """`b_from_a`: x_in_b = scale * rotation @ x_in_a + translation."""
 
-    scale: Tensor
-    rotation: Tensor
-    translation: Tensor
+    scale: Float[Tensor, ""]
+    rotation: Float[Tensor, "3 3"]
+    translation: Float[Tensor, " 3"]
 
-    def apply(self, points: Tensor) -> Tensor:
-        """Map points (*B, 3)."""
+    def apply(self, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+        """The points in b."""
         return self.scale * points @ self.rotation.mT + self.translation
 
-    def apply_to_rotation(self, cam_from_a: Tensor) -> Tensor:
-        """`cam_from_b` rotations (*B, 3, 3) of cameras given by `cam_from_a`."""
+    def apply_to_rotation(self, cam_from_a: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3 3"]:
+        """`cam_from_b` rotations of cameras given by `cam_from_a`."""
         return cam_from_a @ self.rotation.mT
 
 
-def align_similarity(source: Tensor, target: Tensor) -> Similarity:
-    """The 7-dof similarity that maps `source` (N, 3) onto `target` (N, 3) (Umeyama, PAMI 1991)."""
+def align_similarity(source: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"]) -> Similarity:
+    """The 7-dof similarity that maps `source` onto `target` (Umeyama, PAMI 1991)."""
     source_mean, target_mean = source.mean(dim=0), target.mean(dim=0)
     a, b = source - source_mean, target - target_mean
     u, singular, vt = torch.linalg.svd(b.mT @ a)
@@ -38,8 +39,8 @@ def align_similarity(source: Tensor, target: Tensor) -> Similarity:
     return Similarity(scale, rotation, target_mean - scale * (rotation @ source_mean))
 
 
-def align_above_plane(source: Tensor, target: Tensor) -> Similarity:
-    """The 4-dof alignment (x, y, heading, scale) of `source` (N, 3) onto `target` (N, 3).
+def align_above_plane(source: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"]) -> Similarity:
+    """The 4-dof alignment (x, y, heading, scale) of `source` onto `target`.
 
     It leaves the plane z = 0 and the vertical where they are: exactly the freedom that a reconstruction
     through a flat water surface has. The scale acts about the plane, so heights take part in it.

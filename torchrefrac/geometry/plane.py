@@ -6,6 +6,7 @@ from dataclasses import InitVar, dataclass
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.checks import at_least_single, require, require_broadcasting, require_ending
@@ -17,14 +18,14 @@ from torchrefrac.numerics import like, pick
 class Plane:
     """The points x with normal . x = offset; `normal` points to the positive side.
 
-    normal (*B, 3), any length but zero: it is scaled to one; offset (*B), along the unit normal, in the unit of the
-    points. Both may be plain numbers. The default is the plane z = 0 with z positive. Raises ValueError for a normal
-    that is zero, not finite or not of three components, and for an offset that is not finite. check=False takes a unit
-    normal and the offset as they are.
+    normal: any length but zero, it is scaled to one; offset: along the unit normal, in the unit of the points. Both may
+    be plain numbers. The default is the plane z = 0 with z positive. Raises ValueError for a normal that is zero, not
+    finite or not of three components, for an offset that is not finite, and for shapes that do not broadcast.
+    check=False takes a unit normal and the offset as they are.
     """
 
-    normal: Tensor | Sequence[float] = (0.0, 0.0, 1.0)
-    offset: Tensor | float = 0.0
+    normal: Float[Tensor, "*#batch 3"] | Sequence[float] = (0.0, 0.0, 1.0)
+    offset: Float[Tensor, "*#batch"] | float = 0.0
     check: InitVar[bool] = True
 
     def __post_init__(self, check: bool) -> None:
@@ -37,6 +38,7 @@ class Plane:
             length = normal.square().sum(dim=-1, keepdim=True).sqrt()
             require(length, "length of normal", above=0.0)
             object.__setattr__(self, "normal", normal / length)
+            _ = self.shape
             return
         if len(self.normal) != 3:
             raise ValueError(f"normal has {len(self.normal)} components, but must have 3")
@@ -51,23 +53,25 @@ class Plane:
         return cls(normal, sum(float(n) * float(x) for n, x in zip(unit, point, strict=True)))
 
     @classmethod
-    def from_pose(cls, world_from_plane: Tensor) -> "Plane":
-        """The plane z = 0 moved by rigid transforms (*B, 4, 4) or (*B, 3, 4)."""
+    def from_pose(cls, world_from_plane: Float[Tensor, "*batch rows 4"]) -> "Plane":
+        """The plane z = 0 moved by rigid transforms of 4 or 3 rows."""
         normal = world_from_plane[..., :3, 2]
         return cls(normal, (normal * world_from_plane[..., :3, 3]).sum(dim=-1))
 
-    def normal_like(self, reference: Tensor) -> Tensor:
-        """The unit normal (*B, 3) in the dtype and on the device of `reference`."""
+    def normal_like(self, reference: Float[Tensor, "..."]) -> Float[Tensor, "*batch 3"]:
+        """The unit normal in the dtype and on the device of `reference`."""
         if isinstance(self.normal, Tensor):
             return like(self.normal, reference)
         return torch.stack([like(component, reference) for component in self.normal])
 
-    def signed_distance(self, points: Tensor) -> Tensor:
-        """How far points (*B, 3) lie on the positive side: (*B)."""
+    def signed_distance(self, points: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*batch"]:
+        """How far points lie on the positive side."""
         return (self.normal_like(points) * points).sum(dim=-1) - like(self.offset, points)
 
-    def tangents_like(self, reference: Tensor) -> tuple[Tensor, Tensor]:
-        """Unit vectors (*B, 3) in the plane, right-handed with its normal: x and y for the plane z = 0.
+    def tangents_like(
+        self, reference: Float[Tensor, "..."]
+    ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
+        """Unit vectors in the plane, right-handed with its normal: x and y for the plane z = 0.
 
         Without a singular direction (Duff et al., JCGT 6(1), 2017).
         """
@@ -80,15 +84,17 @@ class Plane:
             torch.stack((b, sign + y * y * a, -y), dim=-1),
         )
 
-    def moved(self, tilt: Tensor, height: Tensor | float = 0.0) -> "Plane":
-        """Turned about the origin by `tilt` (*B, 2), radians about the two tangents; then raised by `height` (*B) along
-        its normal. The coordinates in which derivatives by tilt and height are taken."""
+    def moved(self, tilt: Float[Tensor, "*#batch 2"], height: Float[Tensor, "*#batch"] | float = 0.0) -> "Plane":
+        """Turned about the origin by `tilt`, radians about the two tangents; then raised by `height` along its normal.
+        The coordinates in which derivatives by tilt and height are taken."""
         first, second = self.tangents_like(tilt)
         turn = so3_exp(tilt[..., :1] * first + tilt[..., 1:] * second)
         return Plane(rotate(turn, self.normal_like(tilt)), like(self.offset, tilt) + height, check=False)
 
-    def in_frame(self, new_from_old_rotation: Tensor, origin: Tensor) -> "Plane":
-        """The same plane in coordinates x_new = R (x_old - origin): R (*B, 3, 3), origin (*B, 3)."""
+    def in_frame(
+        self, new_from_old_rotation: Float[Tensor, "*#batch 3 3"], origin: Float[Tensor, "*#batch 3"]
+    ) -> "Plane":
+        """The same plane in coordinates x_new = R (x_old - origin)."""
         return Plane(rotate(new_from_old_rotation, self.normal_like(origin)), -self.signed_distance(origin))
 
     @property

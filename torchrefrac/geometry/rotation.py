@@ -1,18 +1,19 @@
 """Rotation matrices and their exponential coordinates."""
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 
-def skew(v: Tensor) -> Tensor:
-    """The matrix [v]x (*B, 3, 3) with [v]x w = v x w."""
+def skew(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """The matrix [v]x with [v]x w = v x w."""
     x, y, z = v.unbind(dim=-1)
     zero = torch.zeros_like(x)
     return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).reshape(*v.shape, 3)
 
 
-def rotate(rotation: Tensor, v: Tensor) -> Tensor:
-    """Matrix times vector over broadcast batches: (*B, 3, 3), (*B, 3) -> (*B, 3).
+def rotate(rotation: Float[Tensor, "*#batch 3 3"], v: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """Matrix times vector over broadcast batches.
 
     Multiplied out, not by a matrix product, which autocast would do in half precision and a GPU in TF32.
     """
@@ -20,8 +21,8 @@ def rotate(rotation: Tensor, v: Tensor) -> Tensor:
     return rotation[..., 0] * x + rotation[..., 1] * y + rotation[..., 2] * z
 
 
-def so3_exp(omega: Tensor) -> Tensor:
-    """Rotation by |omega| radians about omega (Rodrigues): (*B, 3) -> (*B, 3, 3), smooth at zero."""
+def so3_exp(omega: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Rotation by |omega| radians about omega (Rodrigues), smooth at zero."""
     angle_sq = omega.square().sum(dim=-1)
     small = angle_sq < 1e-8
     safe = torch.where(small, torch.ones_like(angle_sq), angle_sq)
@@ -33,8 +34,8 @@ def so3_exp(omega: Tensor) -> Tensor:
     return identity + a * skew(omega) + b * (outer - angle_sq[..., None, None] * identity)
 
 
-def so3_log(rotation: Tensor) -> Tensor:
-    """Rotation vector of angle in [0, pi] (radians): (*B, 3, 3) -> (*B, 3).
+def so3_log(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
+    """Rotation vector of angle in [0, pi] (radians).
 
     Goes through the unit quaternion of the largest component, so it is accurate near zero and near pi.
     """
@@ -47,8 +48,8 @@ def so3_log(rotation: Tensor) -> Tensor:
     return scale * xyz
 
 
-def _quaternion(rotation: Tensor) -> Tensor:
-    """Unit quaternion wxyz (*B, 4), read off the row of q q^T with the largest diagonal."""
+def _quaternion(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
+    """Unit quaternion wxyz, read off the row of q q^T with the largest diagonal."""
     r = rotation
     trace = r[..., 0, 0] + r[..., 1, 1] + r[..., 2, 2]
     xx, yy, zz = (1.0 + 2.0 * r[..., i, i] - trace for i in range(3))

@@ -1,6 +1,6 @@
 """Surfaces that a ray may meet, and the first one that it does meet. All in the world frame, in length units.
 
-Vectors (N, 3) may lie in memory in any way; fastest are those that lie component by component, as `by_component` puts
+Vectors may lie in memory in any way; fastest are those that lie component by component, as `by_component` puts
 them, and so are results.
 """
 
@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -17,41 +18,41 @@ NEAREST = 1e-9  # of a hit, times the ray's length unit: a ray that starts on a 
 
 
 class Meeting(NamedTuple):
-    """Where rays (N) first meet one surface: length along the unit direction (infinite where they do not), texture
-    coordinates (N, 2) and unit normals (N, 3), both meaningless where they do not. Normals may point to either side."""
+    """Where rays first meet one surface: length along the unit direction (infinite where they do not), texture
+    coordinates and unit normals, both meaningless where they do not. Normals may point to either side."""
 
-    length: Tensor
-    uv: Tensor
-    normal: Tensor
+    length: Float[Tensor, " n"]
+    uv: Float[Tensor, "n 2"]
+    normal: Float[Tensor, "n 3"]
 
 
 class Surface(Protocol):
     """Something that rays meet."""
 
-    def intersect(self, origins: Tensor, directions: Tensor) -> Meeting:
-        """origins (N, 3), unit directions (N, 3), float64."""
+    def intersect(self, origins: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Meeting:
+        """Where rays of these origins and unit directions, float64, meet the surface first."""
         ...
 
-    def triangles(self) -> tuple[Tensor, Tensor]:
-        """The surface as vertices (v, 3) and counter-clockwise faces (f, 3) int64; curved ones approximately."""
+    def triangles(self) -> tuple[Float[Tensor, "v 3"], Int[Tensor, "f 3"]]:
+        """The surface as vertices and counter-clockwise faces; curved ones approximately."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Rectangle:
-    """corner + u edge1 + v edge2 with u and v from 0 to 1; each (3). The texture coordinates are (u, v)."""
+    """corner + u edge1 + v edge2 with u and v from 0 to 1. The texture coordinates are (u, v)."""
 
-    corner: Tensor
-    edge1: Tensor
-    edge2: Tensor
+    corner: Float[Tensor, " 3"]
+    edge1: Float[Tensor, " 3"]
+    edge2: Float[Tensor, " 3"]
 
     @cached_property
-    def frame(self) -> Tensor:
-        """Rows (3, 3): the unit normal, and what maps an offset from the corner to u and to v."""
+    def frame(self) -> Float[Tensor, "3 3"]:
+        """Rows: the unit normal, and what maps an offset from the corner to u and to v."""
         normal = normalize(torch.linalg.cross(self.edge1, self.edge2), dim=-1)
         return torch.cat((normal[None], torch.linalg.pinv(torch.stack((self.edge1, self.edge2), dim=-1))))
 
-    def intersect(self, origins: Tensor, directions: Tensor) -> Meeting:
+    def intersect(self, origins: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Meeting:
         height, u, v = self.frame @ (origins - self.corner).mT
         slope, du, dv = self.frame @ directions.mT
         length = -height / torch.where(slope == 0.0, 1.0, slope)
@@ -60,34 +61,34 @@ class Rectangle:
         normal = self.frame[0][:, None].expand(3, len(u)).mT
         return Meeting(torch.where(inside, length, torch.inf), torch.stack((u, v)).mT, normal)
 
-    def triangles(self) -> tuple[Tensor, Tensor]:
+    def triangles(self) -> tuple[Float[Tensor, "v 3"], Int[Tensor, "f 3"]]:
         a, b, c = self.corner, self.edge1, self.edge2
         return torch.stack((a, a + b, a + b + c, a + c)), torch.tensor([[0, 1, 2], [0, 2, 3]])
 
 
 @dataclass(frozen=True, eq=False)
 class Cylinder:
-    """A closed cylinder: from `base` (3) along `axis` (3), which has its length, `radius` around it.
+    """A closed cylinder: from `base` along `axis`, which has its length, `radius` around it.
 
     Texture coordinates of the side: once around in u, from base to end in v (0 to 1). Of the two ends: the disc in its
     bounding square, u shifted by 1 for the base and by 2 for the other end.
     """
 
-    base: Tensor
-    axis: Tensor
+    base: Float[Tensor, " 3"]
+    axis: Float[Tensor, " 3"]
     radius: float
 
     FACETS = 256
 
     @cached_property
-    def frame(self) -> Tensor:
-        """Rows (3, 3): two unit vectors across, one along the axis."""
+    def frame(self) -> Float[Tensor, "3 3"]:
+        """Rows: two unit vectors across, one along the axis."""
         along = normalize(self.axis, dim=-1)
         helper = torch.eye(3, dtype=along.dtype)[along.abs().argmin()]
         first = normalize(torch.linalg.cross(helper, along), dim=-1)
         return torch.stack((first, torch.linalg.cross(along, first), along))
 
-    def intersect(self, origins: Tensor, directions: Tensor) -> Meeting:
+    def intersect(self, origins: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Meeting:
         start, way = (self.frame @ (origins - self.base).mT).mT, (self.frame @ directions.mT).mT
         height = float(self.axis.norm())
         length, normal, uv = self._side(start, way, height)
@@ -100,7 +101,9 @@ class Cylinder:
             normal = torch.where(nearer[:, None], torch.tensor((0.0, 0.0, 1.0), dtype=uv.dtype), normal)
         return Meeting(length, uv, (self.frame.mT @ normal.mT).mT)
 
-    def _side(self, start: Tensor, way: Tensor, height: float) -> tuple[Tensor, Tensor, Tensor]:
+    def _side(
+        self, start: Float[Tensor, "n 3"], way: Float[Tensor, "n 3"], height: float
+    ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n 3"], Float[Tensor, "n 2"]]:
         """The nearest of at most two crossings of the infinite cylinder that lies between the ends."""
         a = way[:, :2].square().sum(dim=-1)
         b = (start[:, :2] * way[:, :2]).sum(dim=-1)
@@ -117,7 +120,7 @@ class Cylinder:
         uv = torch.stack((around.remainder(1.0), place[:, 2] / height)).mT
         return length, place * torch.tensor((1.0, 1.0, 0.0), dtype=place.dtype) / self.radius, uv
 
-    def triangles(self) -> tuple[Tensor, Tensor]:
+    def triangles(self) -> tuple[Float[Tensor, "v 3"], Int[Tensor, "f 3"]]:
         angle = torch.arange(self.FACETS, dtype=torch.float64) * (2.0 * torch.pi / self.FACETS)
         ring = self.radius * torch.stack((angle.cos(), angle.sin()), dim=-1) @ self.frame[:2] + self.base
         vertices = torch.cat((ring, ring + self.axis, self.base[None], (self.base + self.axis)[None]))
@@ -132,16 +135,16 @@ class Cylinder:
 
 
 class Nearest(NamedTuple):
-    """What rays (N) meet first among several surfaces: `surface` is its index, -1 where they meet none."""
+    """What rays meet first among several surfaces: `surface` is its index, -1 where they meet none."""
 
-    length: Tensor
-    surface: Tensor
-    uv: Tensor
-    normal: Tensor
+    length: Float[Tensor, " n"]
+    surface: Int[Tensor, " n"]
+    uv: Float[Tensor, "n 2"]
+    normal: Float[Tensor, "n 3"]
 
 
-def nearest(surfaces: Sequence[Surface], origins: Tensor, directions: Tensor) -> Nearest:
-    """The first of `surfaces` that rays of origins (N, 3) and unit directions (N, 3) meet."""
+def nearest(surfaces: Sequence[Surface], origins: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Nearest:
+    """The first of `surfaces` that rays of these origins and unit directions meet."""
     best = Nearest(
         torch.full_like(origins[:, 0], torch.inf),
         torch.full(origins.shape[:1], -1),
@@ -162,6 +165,6 @@ def nearest(surfaces: Sequence[Surface], origins: Tensor, directions: Tensor) ->
     return best
 
 
-def by_component(vectors: Tensor) -> Tensor:
-    """The same vectors (N, k), one component after the other in memory."""
+def by_component(vectors: Float[Tensor, "n k"]) -> Float[Tensor, "n k"]:
+    """The same vectors, one component after the other in memory."""
     return vectors.mT.contiguous().mT

@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import Any
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchrefrac.geometry import triples
@@ -13,18 +14,18 @@ from torchrefrac.geometry.surfaces import NEAREST, Meeting
 
 @dataclass(frozen=True, eq=False)
 class TriangleMesh:
-    """vertices (v, 3) float64 and faces (f, 3) int64; uv (v, 2) texture coordinates, by default x and y.
+    """A mesh of vertices in float64; uv: texture coordinates, by default x and y.
 
     Finds the face with Embree in single precision, and then the place on its plane in double precision.
     """
 
-    vertices: Tensor
-    faces: Tensor
-    uv: Tensor | None = None
+    vertices: Float[Tensor, "v 3"]
+    faces: Int[Tensor, "f 3"]
+    uv: Float[Tensor, "v 2"] | None = None
 
     @cached_property
-    def _finder(self) -> tuple[Any, Tensor, float]:
-        """The mesh as Embree has it, and the origin (3) and scale of its coordinates, which single precision suits."""
+    def _finder(self) -> tuple[Any, Float[Tensor, " 3"], float]:
+        """The mesh as Embree has it, and the origin and scale of its coordinates, which single precision suits."""
         from embreex.mesh_construction import TriangleMesh as EmbreeMesh  # noqa: PLC0415 - needed only here
         from embreex.rtcore_scene import EmbreeScene  # noqa: PLC0415 - needed only here
 
@@ -36,8 +37,8 @@ class TriangleMesh:
         return scene, low, scale
 
     @cached_property
-    def _planes(self) -> Tensor:
-        """Of each face (f, 12): unit normal n and offset n . x, then gradient and value at the world's origin of u and
+    def _planes(self) -> Float[Tensor, "f 12"]:
+        """Of each face: unit normal n and offset n . x, then gradient and value at the world's origin of u and
         of v."""
         corners = self.vertices[self.faces]
         a, b, c = corners.unbind(dim=1)
@@ -60,7 +61,7 @@ class TriangleMesh:
         )
         return torch.cat(rows, dim=-1)
 
-    def intersect(self, origins: Tensor, directions: Tensor) -> Meeting:
+    def intersect(self, origins: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Meeting:
         scene, low, scale = self._finder
         start, way = ((scale * (origins - low)).float().contiguous(), directions.float().contiguous())
         face = torch.from_numpy(scene.run(start.numpy(), way.numpy()))
@@ -75,5 +76,5 @@ class TriangleMesh:
         uv = torch.stack((triples.dot((ux, uy, uz), point) + u0, triples.dot((vx, vy, vz), point) + v0))
         return Meeting(torch.where(met, length, torch.inf), uv.mT, of_face[:3].mT)
 
-    def triangles(self) -> tuple[Tensor, Tensor]:
+    def triangles(self) -> tuple[Float[Tensor, "v 3"], Int[Tensor, "f 3"]]:
         return self.vertices, self.faces
