@@ -1,6 +1,6 @@
 """What a dense reconstruction consists of: oriented points, and what each image sees of the surface."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
@@ -30,8 +30,7 @@ class DenseCloud:
 
     def __getitem__(self, rows: Bool[Tensor, " n"] | Int[Tensor, " k"]) -> "DenseCloud":
         """Some of the points, by a mask or indices."""
-        columns = (getattr(self, f.name) for f in fields(self)[:-1])
-        return DenseCloud(*(column[rows] for column in columns), self.length_unit)
+        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "length_unit"})
 
     @classmethod
     def empty(cls, length_unit: str) -> "DenseCloud":

@@ -1,6 +1,6 @@
 """The text files of a COLMAP model: one line a camera, two an image, one a point; # begins a comment."""
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -162,7 +162,7 @@ def _require_columns(fits: bool, words: list[str], wanted: str, path: Path, numb
 
 
 @contextmanager
-def _numbers(path: Path, number: int) -> Iterator[None]:
+def _numbers(path: Path, number: int) -> Generator[None]:
     """Name the line where a word is no number."""
     try:
         yield
