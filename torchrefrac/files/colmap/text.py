@@ -101,7 +101,7 @@ def read_points_txt(path: Path) -> PointTable:
 
 
 def write_cameras_txt(rows: list[CameraRow], path: Path) -> None:
-    """Write cameras.txt; here and below, numbers have all the digits that tell them from their neighbours."""
+    """Write cameras.txt; here and below, numbers have all the digits that set them apart from their neighbours."""
     lines = [f"{row.id} {row.model} {row.width} {row.height} {_join(row.parameters)}\n" for row in rows]
     path.write_text(CAMERAS_HEAD + "".join(lines), encoding="utf-8", newline="\n")
 
