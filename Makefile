@@ -7,13 +7,14 @@ READY := $(VENV)/.ready
 # See torchrefrac/launch.py: waiting OpenMP threads must not starve other processes.
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: demo test test-slow lint bench clean
+.PHONY: demo test test-slow lint bench bench-baseline clean
 
 demo: $(READY)
 	$(BIN)/torchrefrac -m scene=tank_small model=none,radial,refractive dense=patch out=outputs/demo
 
+# One worker for each core, up to eight, and one thread for each worker: more of them only wait for each other.
 test: lint
-	$(BIN)/pytest -m "not slow"
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow" -n auto --maxprocesses 8 --dist worksteal
 
 test-slow: $(READY)
 	$(BIN)/pytest -m slow
@@ -24,13 +25,12 @@ lint: $(READY)
 	$(BIN)/pyright
 	$(BIN)/lint-imports
 
+# Needs an idle machine and half an hour; bench-baseline writes what it measures into tools/bench/baseline.json.
 bench: $(READY)
-	$(BIN)/python tools/bench/refraction.py
-	$(BIN)/python tools/bench/solvers.py --problems 100
-	$(BIN)/python tools/bench/sparse.py $(wildcard ../shared/data/tank)
-	$(BIN)/python tools/bench/dense.py $(wildcard ../shared/data/tank)
-	$(BIN)/python tools/bench/uncertainty.py
-	$(BIN)/python tools/bench/rendering.py
+	$(BIN)/python tools/bench/baseline.py
+
+bench-baseline: $(READY)
+	$(BIN)/python tools/bench/baseline.py --write
 
 clean:
 	rm -rf $(VENV) outputs/* .pytest_cache .ruff_cache

@@ -1,11 +1,13 @@
 """Fixtures of the whole suite: seeded random numbers, a scene, and the data sets that lie beside the repository."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 import torch
+from filelock import FileLock
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
@@ -49,6 +51,25 @@ def generator() -> torch.Generator:
 @pytest.fixture
 def draw(generator: torch.Generator) -> Draw:
     return Draw(generator)
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], None]], Path]:
+    """`made_once(name, make)` is a folder that `make(folder)` fills: once in a session, also where several workers
+    share it. Tests read it and change nothing in it."""
+    own = tmp_path_factory.getbasetemp()
+    common = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+    def once(name: str, make: Callable[[Path], None]) -> Path:
+        folder, finished = common / name, common / f"{name}.finished"
+        with FileLock(common / f"{name}.lock"):
+            if not finished.exists():
+                folder.mkdir()
+                make(folder)
+                finished.touch()
+        return folder
+
+    return once
 
 
 @pytest.fixture

@@ -7,7 +7,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from torchrefrac import minimal
+    from torchrefrac import bundle, minimal, ransac, refinement, sfm
+    from torchrefrac.bundle import BundleOptions, adjust_differentiably
     from torchrefrac.camera import (
         Intrinsics,
         LearnableCamera,
@@ -16,66 +17,76 @@ if TYPE_CHECKING:
         remove_refraction,
         to_kornia,
     )
+    from torchrefrac.checks import TorchrefracError
+    from torchrefrac.commands.adjust import adjust
     from torchrefrac.commands.reconstruct import reconstruct
     from torchrefrac.config import Options
     from torchrefrac.dense import DenseOptions, densify, patch_costs
+    from torchrefrac.evaluate.metrics import evaluate
+    from torchrefrac.files.cameras import load_cameras
     from torchrefrac.files.capture import load_capture
-    from torchrefrac.geometry import Plane
+    from torchrefrac.files.library import embedded_scene
+    from torchrefrac.files.survey import read_survey
+    from torchrefrac.files.tracks import read_scene
+    from torchrefrac.files.truth import load_truth
+    from torchrefrac.geometry import Plane, Rigid
     from torchrefrac.refraction import FlatInterface, solve_refrax, water_index
-    from torchrefrac.scene import Capture, DenseCloud, Scene
+    from torchrefrac.scene import (
+        Cameras,
+        Capture,
+        DenseCloud,
+        Interfaces,
+        Observations,
+        Scene,
+        Survey,
+        Truth,
+        Views,
+    )
+    from torchrefrac.sfm import ReadjustOptions, SfmOptions
+    from torchrefrac.synthetic import made_scene
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "Capture",
-    "DenseCloud",
-    "DenseOptions",
-    "FlatInterface",
-    "Intrinsics",
-    "LearnableCamera",
-    "Options",
-    "Plane",
-    "Scene",
-    "RefractiveCamera",
-    "densify",
-    "from_kornia",
-    "load_capture",
-    "minimal",
-    "patch_costs",
-    "reconstruct",
-    "remove_refraction",
-    "solve_refrax",
-    "to_kornia",
-    "water_index",
-]
-
 _HOME = {
-    "Capture": "scene",
-    "DenseCloud": "scene",
-    "DenseOptions": "dense",
-    "FlatInterface": "refraction",
-    "Intrinsics": "camera",
-    "LearnableCamera": "camera",
-    "Options": "config",
-    "Plane": "geometry",
-    "Scene": "scene",
-    "RefractiveCamera": "camera",
-    "densify": "dense",
-    "from_kornia": "camera",
-    "load_capture": "files.capture",
-    "patch_costs": "dense",
-    "reconstruct": "commands.reconstruct",
-    "remove_refraction": "camera",
-    "solve_refrax": "refraction",
-    "to_kornia": "camera",
-    "water_index": "refraction",
-}
+    "bundle": ("BundleOptions", "adjust_differentiably"),
+    "camera": ("Intrinsics", "LearnableCamera", "RefractiveCamera", "from_kornia", "remove_refraction", "to_kornia"),
+    "checks": ("TorchrefracError",),
+    "commands.adjust": ("adjust",),
+    "commands.reconstruct": ("reconstruct",),
+    "config": ("Options",),
+    "dense": ("DenseOptions", "densify", "patch_costs"),
+    "evaluate.metrics": ("evaluate",),
+    "files.cameras": ("load_cameras",),
+    "files.capture": ("load_capture",),
+    "files.library": ("embedded_scene",),
+    "files.survey": ("read_survey",),
+    "files.tracks": ("read_scene",),
+    "files.truth": ("load_truth",),
+    "geometry": ("Plane", "Rigid"),
+    "refraction": ("FlatInterface", "solve_refrax", "water_index"),
+    "scene": (
+        "Cameras", "Capture", "DenseCloud", "Interfaces", "Observations", "Scene", "Survey", "Truth", "Views",
+    ),
+    "sfm": ("ReadjustOptions", "SfmOptions"),
+    "synthetic": ("made_scene",),
+}  # fmt: skip
+_MODULES = ("bundle", "minimal", "ransac", "refinement", "sfm")
+_MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
+
+__all__ = [
+    "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "FlatInterface", "Interfaces", "Intrinsics",
+    "LearnableCamera", "Observations", "Options", "Plane", "ReadjustOptions", "RefractiveCamera", "Rigid", "Scene",
+    "SfmOptions", "Survey", "TorchrefracError", "Truth", "Views", "adjust", "adjust_differentiably", "bundle",
+    "densify", "embedded_scene", "evaluate", "from_kornia", "load_cameras", "load_capture", "load_truth",
+    "made_scene", "minimal", "patch_costs", "ransac", "read_scene", "read_survey", "reconstruct", "refinement",
+    "remove_refraction", "sfm", "solve_refrax", "to_kornia", "water_index",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(import_module(f"torchrefrac.{_HOME[name]}"), name)
-    if name in __all__:
+    if name in _MODULE_OF:
+        return getattr(import_module(f"torchrefrac.{_MODULE_OF[name]}"), name)
+    if name in _MODULES:
         return import_module(f"torchrefrac.{name}")
     raise AttributeError(f"module 'torchrefrac' has no attribute {name!r}")
 

@@ -1,15 +1,17 @@
 """The command line in this process, and a small real capture for it."""
 
+import io
 import json
 import shutil
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import pytest
 
-from torchrefrac import cli
+from torchrefrac import launch
 from torchrefrac.cli import commands, sweeps
 from torchrefrac.commands import densify as densification
 from torchrefrac.commands import reconstruct as pipeline
@@ -28,45 +30,66 @@ class Ended:
     err: str
 
 
+def run_command(arguments, folder, patch, reports=False):
+    """Exit status of the command, run in `folder`."""
+    patch.chdir(folder)
+    patch.setenv("TORCHREFRAC_CACHE", str(folder / "cache"))
+    if not reports:
+        patch.setattr(commands, "write_report", lambda run: None)
+        patch.setattr(sweeps, "write_job_reports", lambda runs, recorder: None)
+        patch.setattr(sweeps, "write_sweep_report", lambda folder, runs: None)
+    patch.setattr(sys, "argv", ["torchrefrac", *arguments])
+    try:
+        launch.main()
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
 @pytest.fixture
 def torchrefrac(monkeypatch, capsys, tmp_path):
     """Runs the command in an empty folder; report.html, which takes seconds, is written where reports=True alone."""
 
     def run(*arguments, reports=False):
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setenv("TORCHREFRAC_CACHE", str(tmp_path / "cache"))
-        if not reports:
-            monkeypatch.setattr(commands, "write_report", lambda run: None)
-            monkeypatch.setattr(sweeps, "write_job_reports", lambda runs, recorder: None)
-            monkeypatch.setattr(sweeps, "write_sweep_report", lambda folder, runs: None)
-        monkeypatch.setattr(sys, "argv", ["torchrefrac", *arguments])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = int(end.code or 0)
+        status = run_command(arguments, tmp_path, monkeypatch, reports)
         captured = capsys.readouterr()
         return Ended(status, captured.out, captured.err)
 
     return run
 
 
+def _copy_part_of_tank(images, folder):
+    source = embedded_scene("tank_small")
+    content = json.loads((source / "capture.json").read_text())
+    content["images"] = [content["images"][i] for i in images]
+    (folder / "images").mkdir(parents=True)
+    for image in content["images"]:
+        shutil.copy(source / "images" / image["name"], folder / "images")
+    (folder / "capture.json").write_text(json.dumps(content))
+    shutil.copy(source / "truth.json", folder)
+    return folder
+
+
 @pytest.fixture
 def part_of_tank(tmp_path):
     """`part_of_tank([0, 3])`: folder of a capture with those images of the embedded scene, and its truth."""
+    return lambda images: _copy_part_of_tank(images, tmp_path / "part_of_tank")
 
-    def copy(images):
-        source, folder = embedded_scene("tank_small"), tmp_path / "part_of_tank"
-        content = json.loads((source / "capture.json").read_text())
-        content["images"] = [content["images"][i] for i in images]
-        (folder / "images").mkdir(parents=True)
-        for image in content["images"]:
-            shutil.copy(source / "images" / image["name"], folder / "images")
-        (folder / "capture.json").write_text(json.dumps(content))
-        shutil.copy(source / "truth.json", folder)
-        return folder
 
-    return copy
+@pytest.fixture(scope="session")
+def complete_run(made_once):
+    """Folder with `run`, which the command made of the small tank with all default options, and how the command ended.
+    Not to be changed."""
+
+    def make(folder):
+        capture = _copy_part_of_tank([0, 1, 2, 3], folder / "part_of_tank")
+        out, err = io.StringIO(), io.StringIO()
+        with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+            status = run_command(["scene=capture", f"scene.path={capture}", "out=run"], folder, patch)
+        (folder / "ended.json").write_text(json.dumps([status, out.getvalue(), err.getvalue()]))
+
+    folder = made_once("complete_run", make)
+    return folder / "run", Ended(*json.loads((folder / "ended.json").read_text()))
 
 
 @pytest.fixture
@@ -81,26 +104,24 @@ def metrics():
     return lambda folder: json.loads((Path(folder) / "metrics.json").read_text())
 
 
-@pytest.fixture(scope="session")
-def sparse(tmp_path_factory):
-    """Folder with `capture`, three images of the embedded scene at half their size, and `run`, their sparse model."""
-    source, folder = embedded_scene("tank_small"), tmp_path_factory.mktemp("sparse")
-    content = json.loads((source / "capture.json").read_text())
-    content["images"] = [content["images"][i] for i in (0, 2, 4)]
+def _make_sparse(folder):
+    capture = _copy_part_of_tank((0, 2, 4), folder / "capture")
+    content = json.loads((capture / "capture.json").read_text())
     lens = content["intrinsics"]
     assert content["pixel_origin"] == "center"
     lens |= {name: (lens[name] + 0.5) / 2 - 0.5 for name in ("cx", "cy")} | {"width": 320, "height": 240}
     lens |= {name: lens[name] / 2 for name in ("fx", "fy")}
-    (folder / "capture" / "images").mkdir(parents=True)
-    for name in (image["name"] for image in content["images"]):
-        image = cv2.imread(str(source / "images" / name))
-        cv2.imwrite(
-            str(folder / "capture" / "images" / name), cv2.resize(image, (320, 240), interpolation=cv2.INTER_AREA)
-        )
-    (folder / "capture" / "capture.json").write_text(json.dumps(content))
-    shutil.copy(source / "truth.json", folder / "capture")
-    pipeline.run(load_capture(folder / "capture"), Options(), SilentRecorder(), folder / "run")
-    return folder
+    (capture / "capture.json").write_text(json.dumps(content))
+    for path in (capture / "images").iterdir():
+        cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), (320, 240), interpolation=cv2.INTER_AREA))
+    pipeline.run(load_capture(capture), Options(), SilentRecorder(), folder / "run")
+
+
+@pytest.fixture(scope="session")
+def sparse(made_once):
+    """Folder with `capture`, three images of the embedded scene at half their size, and `run`, their sparse model. Not
+    to be changed."""
+    return made_once("sparse", _make_sparse)
 
 
 @pytest.fixture

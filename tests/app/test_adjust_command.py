@@ -8,7 +8,8 @@ import torch
 from hydra import compose, initialize_config_dir
 
 from tests.planted_alignments import plant_alignment
-from torchrefrac.cli import CONF, adjust_options
+from torchrefrac.cli.composed import adjust_options
+from torchrefrac.cli.conf import CONF
 from torchrefrac.commands import adjust as readjustment
 from torchrefrac.config import AdjustOptions, OptionError, PlaneOptions, build
 from torchrefrac.files.cameras import load_points, write_cameras
@@ -314,7 +315,7 @@ def test_an_interrupt_is_told_of(torchrefrac, given, metrics, monkeypatch, tmp_p
 def test_both_commands_explain_themselves(torchrefrac):
     assert "torchrefrac adjust alignment=DIR" in torchrefrac("--help").out
     told = torchrefrac("adjust", "--help").out
-    for words in ("plane.offset=find", "survey         path of a survey.json", "loss_scale: 0.5", "alignment: ???"):
+    for words in ("plane.offset=find", "path of a survey.json", "bundle.loss_scale=0.5", "alignment=VALUE"):
         assert words in told
     assert "tank_small" not in told
     assert max(map(len, told.splitlines())) <= 100

@@ -32,7 +32,7 @@ def test_using_the_package_loads_no_heavy_extra():
     assert ended.stdout.strip() == "[]"
 
 
-def test_a_capture_reconstructs_without_the_command_line(small_tank):
-    reconstruction = torchrefrac.reconstruct(torchrefrac.load_capture(small_tank))
+def test_a_capture_reconstructs_without_the_command_line(sparse):
+    reconstruction = torchrefrac.reconstruct(torchrefrac.load_capture(sparse / "capture"))
     assert bool(reconstruction.registered.all())
     assert float(reconstruction.reprojection_errors().median()) < 0.2

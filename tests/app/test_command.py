@@ -17,13 +17,13 @@ RESULTS = {"cameras.json", "points.ply", "metrics.json", "side_view.png", "featu
 
 OF_A_SWEEP = {"figure1.png", "multirun.yaml", "report.html", "summary.csv", "summary.md", "summary.png", "sweep.json"}
 OF_A_SWEEP |= {"table1.md"}
+FEWER = "features.max_features=2000"
 
 
-def test_a_run_leaves_the_promised_files_and_a_right_reconstruction(torchrefrac, small_tank, metrics):
-    ended = torchrefrac("scene=capture", f"scene.path={small_tank}", "out=run")
+def test_a_run_leaves_the_promised_files_and_a_right_reconstruction(complete_run, metrics):
+    run, ended = complete_run
     assert (ended.status, ended.err.count("error")) == (0, 0)
     assert "4 of 4 images registered" in ended.out
-    run = small_tank.parent / "run"
     assert {p.name for p in run.iterdir()} == RESULTS | {"events", "run.log", ".hydra"}
     found = metrics(run)
     assert found["status"] == "complete"
@@ -42,16 +42,14 @@ def test_a_run_leaves_the_promised_files_and_a_right_reconstruction(torchrefrac,
     assert any(tag.startswith("sparse") for tag in events.Tags()["tensors"])
 
 
-def test_the_same_seed_gives_the_same_cameras(torchrefrac, small_tank):
-    files = []
-    for name in ("first", "second"):
-        torchrefrac("scene=capture", f"scene.path={small_tank}", f"out={name}")
-        files.append((small_tank.parent / name / "cameras.json").read_bytes())
-    assert files[0] == files[1]
+def test_the_same_seed_gives_the_same_cameras(torchrefrac, small_tank, complete_run):
+    torchrefrac("scene=capture", f"scene.path={small_tank}", "out=second")
+    first, second = (run / "cameras.json" for run in (complete_run[0], small_tank.parent / "second"))
+    assert first.read_bytes() == second.read_bytes()
 
 
 def test_a_multirun_over_the_models_ends_with_table_and_figure(torchrefrac, small_tank, metrics):
-    given = ("scene=capture", f"scene.path={small_tank}", "model=none,refractive", "out=both")
+    given = ("scene=capture", f"scene.path={small_tank}", "model=none,refractive", FEWER, "out=both")
     ended = torchrefrac("-m", *given, reports=True)
     assert ended.status == 0
     both = small_tank.parent / "both"
@@ -117,7 +115,7 @@ def test_images_without_texture_make_no_pair(torchrefrac, small_tank, metrics):
 
 def test_an_image_that_cannot_be_registered_is_named_and_the_others_are_reconstructed(torchrefrac, small_tank, metrics):
     cv2.imwrite(str(small_tank / "images" / "cam02.jpg"), np.full((480, 640, 3), 127, dtype=np.uint8))
-    ended = torchrefrac("scene=capture", f"scene.path={small_tank}", "out=run")
+    ended = torchrefrac("scene=capture", f"scene.path={small_tank}", FEWER, "out=run")
     assert ended.status == 0
     assert "not registered: cam02.jpg sees only 0 reconstructed points" in ended.out
     found = metrics(small_tank.parent / "run")
@@ -129,7 +127,7 @@ def test_an_image_that_cannot_be_registered_is_named_and_the_others_are_reconstr
 
 def test_two_images_are_enough(torchrefrac, part_of_tank, tmp_path, metrics):
     folder = part_of_tank([0, 3])
-    assert torchrefrac("scene=capture", f"scene.path={folder}", "out=run").status == 0
+    assert torchrefrac("scene=capture", f"scene.path={folder}", FEWER, "out=run").status == 0
     assert metrics(tmp_path / "run")["registered_images"] == 2
 
 
@@ -138,7 +136,7 @@ def test_an_interrupt_leaves_the_finished_stages(torchrefrac, small_tank, metric
         raise KeyboardInterrupt
 
     monkeypatch.setattr(pipeline, "reconstruct_sparse", interrupted)
-    ended = torchrefrac("scene=capture", f"scene.path={small_tank}", "out=run")
+    ended = torchrefrac("scene=capture", f"scene.path={small_tank}", FEWER, "out=run")
     assert ended.status == 130
     run = small_tank.parent / "run"
     assert metrics(run)["status"] == "interrupted"
@@ -149,7 +147,9 @@ def test_an_interrupt_leaves_the_finished_stages(torchrefrac, small_tank, metric
 
 
 def test_a_failed_job_of_a_multirun_does_not_stop_the_others(torchrefrac, small_tank, metrics):
-    ended = torchrefrac("-m", "scene=capture", f"scene.path={small_tank}", "water.index_ratio=0.5,1.33", "out=runs")
+    ended = torchrefrac(
+        "-m", "scene=capture", f"scene.path={small_tank}", "water.index_ratio=0.5,1.33", FEWER, "out=runs"
+    )
     assert ended.status == 1
     runs = sorted(p for p in (small_tank.parent / "runs").iterdir() if p.is_dir())
     assert [metrics(run)["status"] for run in runs] == ["failed", "complete"]

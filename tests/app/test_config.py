@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 from hydra import compose, initialize_config_dir
 
-from torchrefrac.cli import CONF, run_options
+from torchrefrac.cli.composed import run_options
+from torchrefrac.cli.conf import CONF
 from torchrefrac.config import OptionError, Options, WaterOptions, build
 from torchrefrac.refraction import water_index
 

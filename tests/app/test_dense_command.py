@@ -12,8 +12,10 @@ import torch
 from hydra import compose, initialize_config_dir
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from tests.app.conftest import run_command
 from torchrefrac.camera import Intrinsics, RefractiveCamera
-from torchrefrac.cli import CONF, densify_options
+from torchrefrac.cli.composed import densify_options
+from torchrefrac.cli.conf import CONF
 from torchrefrac.commands import dense_outputs, run_folder
 from torchrefrac.commands import densify as densification
 from torchrefrac.config import DensifyOptions, OptionError, Options, build
@@ -31,16 +33,32 @@ QUICK = ("dense=depthmap", "dense.cell=12")
 PLAIN = (*QUICK, "outputs.mesh=false", "outputs.raster=false", "outputs.depth_maps=false")
 
 
-@pytest.fixture
-def place(sparse, tmp_path, metrics, monkeypatch):
+def _prepare(sparse, folder, patch):
     """A copy of it, where the command runs; its pictures are empty, to save time."""
-    shutil.copytree(sparse, tmp_path, dirs_exist_ok=True)
-    found = metrics(tmp_path / "run") | {"capture": str(tmp_path / "capture")}
-    (tmp_path / "run" / "metrics.json").write_text(json.dumps(found))
+    shutil.copytree(sparse, folder, dirs_exist_ok=True)
+    _change(folder / "run" / "metrics.json", lambda found: found.update(capture=str(folder / "capture")))
     for module in (densification, dense_outputs, run_folder, comparison):
         for name in {name for name in vars(module) if name.startswith("draw_")}:
-            monkeypatch.setattr(module, name, lambda *arguments: arguments[-1].touch())
+            patch.setattr(module, name, lambda *arguments: arguments[-1].touch())
+
+
+@pytest.fixture
+def place(sparse, tmp_path, monkeypatch):
+    """Folder with `capture` and `run`, a sparse model, where the command runs."""
+    _prepare(sparse, tmp_path, monkeypatch)
     return tmp_path
+
+
+@pytest.fixture(scope="session")
+def dense_run(made_once, sparse):
+    """The folder of the run once `densify` with the options QUICK is through with it. Not to be changed."""
+
+    def make(folder):
+        with pytest.MonkeyPatch.context() as patch:
+            _prepare(sparse, folder, patch)
+            assert run_command(["densify", "run=run", *QUICK], folder, patch) == 0
+
+    return made_once("dense_run", make) / "run"
 
 
 @pytest.fixture
@@ -121,9 +139,9 @@ def test_a_run_and_the_command_on_its_folder_give_the_same_cloud(
     assert not (tmp_path / "run" / "dense").exists()
 
 
-def test_an_interrupted_command_goes_on_with_what_is_finished(torchrefrac, place, interrupt, metrics):
+def test_an_interrupted_command_goes_on_with_what_is_finished(torchrefrac, place, dense_run, interrupt, metrics):
     run = place / "run"
-    torchrefrac("densify", "run=run", *QUICK)
+    shutil.copytree(dense_run, run, dirs_exist_ok=True)
     whole = (run / "dense.ply").read_bytes()
     interrupt()
 
@@ -146,7 +164,9 @@ def test_an_interrupted_command_goes_on_with_what_is_finished(torchrefrac, place
     assert not (run / "dense" / "parts").exists()
 
 
-def test_an_interrupted_run_keeps_its_sparse_model_and_goes_on(torchrefrac, place, known_sparse, interrupt, metrics):
+def test_an_interrupted_run_keeps_its_sparse_model_and_goes_on(
+    torchrefrac, place, dense_run, known_sparse, interrupt, metrics
+):
     command = ("scene=capture", "scene.path=capture", *PLAIN, "out=again")
     interrupt()
 
@@ -158,8 +178,7 @@ def test_an_interrupted_run_keeps_its_sparse_model_and_goes_on(torchrefrac, plac
     assert (at_stop["status"], at_stop["stages"]) == ("interrupted", ["sparse"])
     assert files >= {"cameras.json", "points.ply", "tracks.npz", "side_view.png", "dense"}
     assert metrics(place / "again")["dense_images_resumed"] == 1
-    torchrefrac("densify", "run=run", *PLAIN)
-    assert (place / "again" / "dense.ply").read_bytes() == (place / "run" / "dense.ply").read_bytes()
+    assert (place / "again" / "dense.ply").read_bytes() == (dense_run / "dense.ply").read_bytes()
 
 
 def test_other_options_do_not_go_on_with_old_parts(torchrefrac, place, interrupt, metrics):
@@ -173,8 +192,10 @@ def test_other_options_do_not_go_on_with_old_parts(torchrefrac, place, interrupt
     assert not (place / "run" / "dense").exists()
 
 
-def test_a_folder_that_is_used_again_without_a_dense_stage_has_no_dense_results(torchrefrac, place, known_sparse):
-    torchrefrac("scene=capture", "scene.path=capture", *QUICK, "out=again")
+def test_a_folder_that_is_used_again_without_a_dense_stage_has_no_dense_results(
+    torchrefrac, place, dense_run, known_sparse
+):
+    shutil.copytree(dense_run, place / "again")
     dense = {path.name for path in (place / "again").iterdir()} & DENSE_FILES
 
     torchrefrac("scene=capture", "scene.path=capture", "out=again")
@@ -225,8 +246,8 @@ def test_an_adjusted_run_is_made_dense_where_its_photographs_are_named(torchrefr
     assert {path.name for path in (place / "adjusted").iterdir()} >= DENSE_FILES | {"colmap", "water.json"}
 
 
-def test_what_is_not_wanted_is_not_written(torchrefrac, place):
-    torchrefrac("densify", "run=run", *QUICK)
+def test_what_is_not_wanted_is_not_written(torchrefrac, place, dense_run):
+    shutil.copytree(dense_run, place / "run", dirs_exist_ok=True)
 
     torchrefrac("densify", "run=run", *PLAIN)
     least = {path.name for path in (place / "run").iterdir()} & DENSE_FILES
@@ -468,7 +489,7 @@ def test_the_yaml_defaults_are_those_of_the_typed_options():
 def test_the_command_explains_itself(torchrefrac):
     told = torchrefrac("densify", "--help").out
 
-    for words in ("torchrefrac densify run=DIR", "dense=depthmap", "outputs    which files", "run: ???", "cell: 3"):
+    for words in ("torchrefrac densify run=DIR", "dense=depthmap", "outputs.mesh=true", "run=VALUE", "dense.cell=3"):
         assert words in told
     assert max(map(len, told.splitlines())) <= 100
     assert "torchrefrac densify run=DIR" in torchrefrac("--help").out

@@ -27,7 +27,7 @@ def example():
 def test_a_few_steps_move_the_guess_of_the_index_ratio_towards_the_truth(example, monkeypatch, capsys):
     monkeypatch.setattr(example, "BLURS", (12.0,))
     monkeypatch.setattr(example, "PIXELS", 500)
-    images, cameras, boards, _ = example._load()
+    images, cameras, boards, _ = example.load()
     guess = torchrefrac.FlatInterface(1.25, plane=torchrefrac.Plane(offset=3.0))
     model = torchrefrac.LearnableCamera(replace(cameras, interface=guess))
 

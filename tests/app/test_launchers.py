@@ -10,7 +10,8 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from torchrefrac.cli import CONF, commands
+from torchrefrac.cli import commands
+from torchrefrac.cli.conf import CONF
 
 ONE_FAILS = ("model=refractive", "water.index_ratio=1.33,abc", "features.max_features=300")
 
@@ -87,9 +88,13 @@ def test_slurm_gets_what_the_configuration_says(tmp_path, monkeypatch):
         config = compose("config", overrides=overrides, return_hydra_config=True)
     OmegaConf.update(config, "hydra.job.name", "torchrefrac", force_add=True)
 
-    executor = instantiate(config.hydra.launcher).executor()
+    (tmp_path / "sbatch").write_text('#!/bin/sh\ncp "$1" "${0%sbatch}submitted"\necho Submitted batch job 1\n')
+    (tmp_path / "sbatch").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
 
-    text = executor._executor._make_submission_file_text("command", "uid")
+    instantiate(config.hydra.launcher).executor().submit(print)
+
+    text = (tmp_path / "submitted").read_text()
     for line in ("--partition=day", "--cpus-per-task=4", "--mem=3GB", "--time=120", "--job-name=torchrefrac"):
         assert f"#SBATCH {line}\n" in text
     assert "export OMP_NUM_THREADS=$SLURM_CPUS_PER_TASK\n" in text

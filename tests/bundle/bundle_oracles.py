@@ -75,19 +75,19 @@ def dense_jacobian(layout: Layout, observations: Observations, rows: Tensor) -> 
 
 def dense_system(system) -> tuple[Tensor, Tensor]:
     """The whole matrix [[B, E], [E^T, V]] of normal equations and their gradient; points in the order of their ids."""
-    plan, places = system.plan, system.plan.place_of_point
+    plan, places = system.plan, system.plan.place_of
     size, count = plan.size, len(places)
     coupling = torch.zeros(plan.num_places, 3, size, dtype=torch.float64)
     blocks = torch.einsum("rpk,rwk->kpw", system.rows[:, -4:-1], system.rows[:, :-4])
-    for block, camera, place in zip(blocks, plan.camera.tolist(), plan.point.tolist(), strict=True):
+    for block, camera, place in zip(blocks, plan.reduced.tolist(), plan.place.tolist(), strict=True):
         coupling[place][:, plan.columns[camera]] += block
     coupling = coupling[places].flatten(0, 1)
     points = torch.zeros(count, 3, 3, dtype=torch.float64)
     i, j = torch.tril_indices(3, 3)
-    points[:, i, j] = points[:, j, i] = system.point_hessian.T[places]
+    points[:, i, j] = points[:, j, i] = system.eliminated_hessian.T[places]
     upper = torch.cat((system.dense(), coupling.T), dim=1)
     lower = torch.cat((coupling, torch.block_diag(*points)), dim=1)
-    return torch.cat((upper, lower)), torch.cat((system.gradient, system.point_gradient.T[places].flatten()))
+    return torch.cat((upper, lower)), torch.cat((system.gradient, system.eliminated_gradient.T[places].flatten()))
 
 
 def null_space_of(jacobian: Tensor, tolerance: float = 1e-9) -> Tensor:

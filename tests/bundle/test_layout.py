@@ -43,7 +43,7 @@ def test_the_columns_of_an_observation_are_those_that_the_solver_takes(plant, re
     columns = torch.cat(columns, dim=1)
     varying = columns[0] < layout.size
     assert torch.equal(problem.plan.columns, columns[:, varying])
-    assert problem.rows_of.width == int(varying.sum())
+    assert problem.rows_of.layout.reduced.stop == int(varying.sum())
 
 
 def test_what_is_held_is_found_in_the_one_column_behind_all_others(plant):

@@ -77,14 +77,14 @@ def test_of_several_planes_for_one_cell_the_best_stays(grid, draw, generator, co
         assert torch.equal(grid.normals[grid.filled], _planes(held)[1][grid.filled])
 
 
-def test_a_cell_is_newly_filled_once(grid):
+def test_a_filled_cell_is_counted_once(grid):
     score = torch.tensor([0.5, 0.6, 0.7], dtype=torch.float64)
 
     grid.fill(torch.tensor([4, 4, 9]), *_planes(score), score)
-    first, again = grid.newly_filled(), grid.newly_filled()
+    first, again = grid.filled_since(), grid.filled_since()
     grid.fill(torch.tensor([4, 5, 9]), *_planes(score + 0.1), score + 0.1)
 
-    assert (first, again, grid.newly_filled()) == (2, 0, 1)
+    assert (first, again, grid.filled_since()) == (2, 0, 1)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 1.0])

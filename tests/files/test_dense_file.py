@@ -240,8 +240,8 @@ def test_another_archive_is_no_depth_map(tmp_path, arrays, problem):
 
 def test_arrays_of_a_depth_map_must_fit_each_other(tmp_path, depth_map):
     write_depth_map(depth_map, tmp_path / "map.npz")
-    arrays = dict(np.load(tmp_path / "map.npz"))
-    np.savez(tmp_path / "map.npz", **arrays | {"depth": arrays["depth"][:3]})
+    with np.load(tmp_path / "map.npz") as arrays:
+        np.savez(tmp_path / "map.npz", **(dict(arrays) | {"depth": arrays["depth"][:3]}))
 
     with pytest.raises(DenseFileError, match=r"depth is float32 \(3, 6\), but must be numbers \(4, 6\)"):
         load_depth_map(tmp_path / "map.npz")

@@ -22,8 +22,8 @@ def make_linear(draw, generator) -> Callable[..., Linear]:
         extra: int = 0,
     ) -> Linear:
         pair = torch.randperm(cameras * points, generator=generator)[:pairs]
-        of_camera = [torch.randperm(cameras, generator=generator) % count for _, count in families]
-        shared = tuple(Family(size, of, count) for (size, count), of in zip(families, of_camera, strict=True))
+        member = [torch.randperm(cameras, generator=generator) % count for _, count in families]
+        shared = tuple(Family(size, of, count) for (size, count), of in zip(families, member, strict=True))
         size = 6 * cameras + sum(s * count for s, count in families) + extra
         terms = ()
         if extra:
@@ -36,11 +36,11 @@ def make_linear(draw, generator) -> Callable[..., Linear]:
             camera=pair % cameras,
             point=pair // cameras,
             residual=draw.normal(pairs, 2),
-            by_kept=draw.normal(pairs, 2, 6 + sum(s for s, _ in families)),
-            by_point=draw.normal(pairs, 2, 3),
+            by_reduced=draw.normal(pairs, 2, 6 + sum(s for s, _ in families)),
+            by_eliminated=draw.normal(pairs, 2, 3),
             weight=draw.uniform(0.1, 1.0, pairs),
-            num_cameras=cameras,
-            num_points=points,
+            num_reduced=cameras,
+            num_eliminated=points,
             families=shared,
             num_extra=extra,
             terms=terms,

@@ -19,38 +19,38 @@ class Term:
 
 @dataclass(frozen=True)
 class Linear:
-    """Observations of `point` (N) by `camera` (N): residual (N, 2), derivatives by_kept (N, 2, w) in the unknowns of
-    the camera and of its families and by_point (N, 2, 3), and weight (N)."""
+    """Observations of `point` (N) by `camera` (N): residual (N, 2), derivatives by_reduced (N, 2, w) in the unknowns of
+    the camera and of its families and by_eliminated (N, 2, 3), and weight (N)."""
 
     camera: Tensor
     point: Tensor
     residual: Tensor
-    by_kept: Tensor
-    by_point: Tensor
+    by_reduced: Tensor
+    by_eliminated: Tensor
     weight: Tensor
-    num_cameras: int
-    num_points: int
+    num_reduced: int
+    num_eliminated: int
     families: tuple[Family, ...] = ()
     num_extra: int = 0
     terms: tuple[Term, ...] = ()
 
     def where(self, keep: Tensor) -> "Linear":
         """The observations that `keep` picks: a mask (N), or ids in some order."""
-        names = ("camera", "point", "residual", "by_kept", "by_point", "weight")
+        names = ("camera", "point", "residual", "by_reduced", "by_eliminated", "weight")
         return replace(self, **{name: getattr(self, name)[keep] for name in names})
 
     def in_units(self, unit: Tensor) -> "Linear":
         """Each unknown of a camera and its families, and each of a point (w + 3), in a unit of its own."""
-        return replace(self, by_kept=self.by_kept * unit[:-3], by_point=self.by_point * unit[-3:])
+        return replace(self, by_reduced=self.by_reduced * unit[:-3], by_eliminated=self.by_eliminated * unit[-3:])
 
     def plan(self, locality: Tensor | None = None) -> SchurPlan:
         return SchurPlan.create(
-            self.camera, self.point, self.num_cameras, self.num_points, self.families, self.num_extra, locality
+            self.camera, self.point, self.num_reduced, self.num_eliminated, self.families, self.num_extra, locality
         )
 
     def system(self, null_space: Tensor | None = None, locality: Tensor | None = None) -> NormalEquations:
         plan = self.plan(locality)
-        rows = torch.cat((self.by_kept, self.by_point, self.residual[..., None]), dim=-1)
+        rows = torch.cat((self.by_reduced, self.by_eliminated, self.residual[..., None]), dim=-1)
         rows = (rows * self.weight.sqrt()[:, None, None]).permute(1, 2, 0)[..., plan.order]
         blocks = [Blocks.of_rows(term.columns, term.jacobian, term.residual) for term in self.terms]
         return linearize(plan, rows.contiguous(), self.cost, blocks, null_space)
@@ -66,21 +66,21 @@ class Linear:
     @property
     def size(self) -> int:
         """How many unknowns there are beside the points."""
-        return 6 * self.num_cameras + sum(size * count for size, _, count in self.families) + self.num_extra
+        return 6 * self.num_reduced + sum(size * count for size, _, count in self.families) + self.num_extra
 
     def rows(self) -> tuple[Tensor, Tensor]:
         """The whole Jacobian, one observation and one term after another, and the residuals; what is kept comes first,
         then the points, and in the end a column of what is held."""
-        width = self.size + 3 * self.num_points + 1
+        width = self.size + 3 * self.num_eliminated + 1
         jacobian, residual = [torch.zeros(0, width, dtype=torch.float64)], [torch.zeros(0, dtype=torch.float64)]
         for k, (camera, point) in enumerate(zip(self.camera.tolist(), self.point.tolist(), strict=True)):
-            columns, first = [6 * camera + i for i in range(6)], 6 * self.num_cameras
-            for size, of_camera, count in self.families:
-                columns += [first + size * int(of_camera[camera]) + i for i in range(size)]
+            columns, first = [6 * camera + i for i in range(6)], 6 * self.num_reduced
+            for size, member, count in self.families:
+                columns += [first + size * int(member[camera]) + i for i in range(size)]
                 first += size * count
             row = torch.zeros(2, width, dtype=torch.float64)
-            row[:, columns] = self.by_kept[k]
-            row[:, self.size + 3 * point : self.size + 3 * point + 3] = self.by_point[k]
+            row[:, columns] = self.by_reduced[k]
+            row[:, self.size + 3 * point : self.size + 3 * point + 3] = self.by_eliminated[k]
             jacobian.append(self.weight[k].sqrt() * row)
             residual.append(self.weight[k].sqrt() * self.residual[k])
         for term in self.terms:
@@ -114,8 +114,8 @@ class DenseElimination:
     b: Tensor
     e: Tensor
     v_inverse: Tensor
-    kept_gradient: Tensor
-    point_gradient: Tensor
+    reduced_gradient: Tensor
+    eliminated_gradient: Tensor
 
     @classmethod
     def of(cls, linear: Linear, damping: float) -> "DenseElimination":
@@ -129,27 +129,27 @@ class DenseElimination:
 
 
 def flat(step: Step) -> Tensor:
-    return torch.cat((step.kept, step.point.flatten()))
+    return torch.cat((step.reduced, step.eliminated.flatten()))
 
 
-def at_places(elimination: Elimination, by_point: Tensor) -> Tensor:
+def at_places(elimination: Elimination, by_eliminated: Tensor) -> Tensor:
     """(3 n) of all points one after another, as (3, places)."""
     plan = elimination.system.plan
-    result = by_point.new_zeros(3, plan.num_places)
-    result[:, plan.place_of_point] = by_point.view(-1, 3).T
+    result = by_eliminated.new_zeros(3, plan.num_places)
+    result[:, plan.place_of] = by_eliminated.view(-1, 3).T
     return result
 
 
-def of_points(elimination: Elimination, at: Tensor) -> Tensor:
+def of_eliminated(elimination: Elimination, at: Tensor) -> Tensor:
     """(3, places) as (3 n) of all points one after another."""
-    return at[:, elimination.system.plan.place_of_point].T.flatten()
+    return at[:, elimination.system.plan.place_of].T.flatten()
 
 
 def with_gauge(linear: Linear, draw) -> tuple[Linear, Tensor]:
     """The same observations made blind to four random directions, and an orthonormal basis (size, 4) of these."""
-    kept, points = draw.normal(linear.size, 4), draw.normal(linear.num_points, 3, 4)
+    kept, points = draw.normal(linear.size, 4), draw.normal(linear.num_eliminated, 3, 4)
     local = torch.cat((kept[linear.plan().columns[linear.camera]], points[linear.point]), dim=1)
     basis = torch.linalg.qr(local).Q
-    rows = torch.cat((linear.by_kept, linear.by_point), dim=-1)
+    rows = torch.cat((linear.by_reduced, linear.by_eliminated), dim=-1)
     rows = rows - (rows @ basis) @ basis.mT
-    return replace(linear, by_kept=rows[..., :-3], by_point=rows[..., -3:]), torch.linalg.qr(kept).Q
+    return replace(linear, by_reduced=rows[..., :-3], by_eliminated=rows[..., -3:]), torch.linalg.qr(kept).Q

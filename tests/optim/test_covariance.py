@@ -45,7 +45,7 @@ def bordered_inverse(linear, constraint=None):
     return inverse
 
 
-def blocks_of_points(linear, inverse):
+def blocks_of_eliminated(linear, inverse):
     """(n, 3, 3) of (size + 3 n, size + 3 n)."""
     own = inverse[linear.size :, linear.size :].unflatten(0, (-1, 3)).unflatten(2, (-1, 3))
     return own.diagonal(dim1=0, dim2=2).permute(2, 0, 1)
@@ -53,9 +53,9 @@ def blocks_of_points(linear, inverse):
 
 def often_seen(linear, at_least=2):
     """The same without the points that fewer cameras see."""
-    seen = torch.bincount(linear.point, minlength=linear.num_points) >= at_least
+    seen = torch.bincount(linear.point, minlength=linear.num_eliminated) >= at_least
     where = linear.where(seen[linear.point])
-    return replace(where, point=(torch.cumsum(seen, dim=0) - 1)[where.point], num_points=int(seen.sum()))
+    return replace(where, point=(torch.cumsum(seen, dim=0) - 1)[where.point], num_eliminated=int(seen.sum()))
 
 
 @shapes
@@ -65,8 +65,8 @@ def test_it_is_the_inverse_of_the_whole_matrix_block_by_block(make_linear, porti
     found = Covariance.of(linear.system())
 
     inverse = bordered_inverse(linear)
-    close(found.kept, inverse[: linear.size, : linear.size])
-    close(found.points(), blocks_of_points(linear, inverse))
+    close(found.reduced, inverse[: linear.size, : linear.size])
+    close(found.eliminated(), blocks_of_eliminated(linear, inverse))
 
 
 @shapes
@@ -76,14 +76,14 @@ def test_a_gauge_is_fixed_by_inner_constraints_on_what_is_kept(make_linear, port
     found = Covariance.of(linear.system(null_space))
 
     inverse = bordered_inverse(linear, null_space)
-    close(found.kept, inverse[: linear.size, : linear.size])
-    close(found.points(), blocks_of_points(linear, inverse))
+    close(found.reduced, inverse[: linear.size, : linear.size])
+    close(found.eliminated(), blocks_of_eliminated(linear, inverse))
 
 
 def test_along_the_gauge_there_is_no_variance_and_no_other_choice_of_it_has_a_smaller_trace(make_linear, draw):
     linear, null_space = with_gauge(often_seen(make_linear(families=[(2, 1)])), draw)
 
-    kept = Covariance.of(linear.system(null_space)).kept
+    kept = Covariance.of(linear.system(null_space)).reduced
 
     assert (kept @ null_space).abs().max() < 1e-10 * kept.abs().max()
     for _ in range(5):
@@ -97,38 +97,38 @@ def test_the_directions_that_span_the_gauge_do_not_matter(make_linear, draw):
 
     found, turned = (Covariance.of(linear.system(basis)) for basis in (null_space, null_space @ turn))
 
-    close(turned.kept, found.kept)
-    close(turned.points(), found.points())
+    close(turned.reduced, found.reduced)
+    close(turned.eliminated(), found.eliminated())
 
 
 def test_the_tiles_in_which_points_lie_do_not_matter(make_linear, cut):
     cut(tile=4)
     linear = often_seen(make_linear(points=40, pairs=150))
-    shuffled = torch.arange(linear.num_points).roll(17) * 7919 % linear.num_points
+    shuffled = torch.arange(linear.num_eliminated).roll(17) * 7919 % linear.num_eliminated
 
     found, other = (Covariance.of(linear.system(locality=locality)) for locality in (None, shuffled))
 
-    close(other.kept, found.kept)
-    close(other.points(), found.points())
+    close(other.reduced, found.reduced)
+    close(other.eliminated(), found.eliminated())
 
 
 def test_what_nothing_depends_on_has_no_variance_and_what_else_there_is_has_its_own(make_linear, draw):
     """A camera without observations, and an unknown to which no observation reacts."""
     linear = make_linear(families=[(3, 1)])
     linear = often_seen(linear.where(linear.camera != 2))
-    by_kept = linear.by_kept.clone()
-    by_kept[..., 7] = 0.0
-    linear = replace(linear, by_kept=by_kept)
+    by_reduced = linear.by_reduced.clone()
+    by_reduced[..., 7] = 0.0
+    linear = replace(linear, by_reduced=by_reduced)
 
     found = Covariance.of(linear.system())
 
     dead = torch.zeros(linear.size, dtype=torch.bool)
     dead[12:18] = dead[-2] = True
-    assert (found.kept[dead] == 0.0).all()
-    assert (found.kept[:, dead] == 0.0).all()
+    assert (found.reduced[dead] == 0.0).all()
+    assert (found.reduced[:, dead] == 0.0).all()
     inverse = bordered_inverse(linear)
-    close(found.kept, inverse[: linear.size, : linear.size])
-    close(found.points(), blocks_of_points(linear, inverse))
+    close(found.reduced, inverse[: linear.size, : linear.size])
+    close(found.eliminated(), blocks_of_eliminated(linear, inverse))
 
 
 def test_a_gauge_that_also_moves_a_camera_without_observations_is_that_of_the_others(make_linear, draw):
@@ -140,20 +140,20 @@ def test_a_gauge_that_also_moves_a_camera_without_observations_is_that_of_the_ot
     found = Covariance.of(linear.system(null_space))
 
     inverse = bordered_inverse(linear, others)
-    close(found.kept, inverse[: linear.size, : linear.size])
-    close(found.points(), blocks_of_points(linear, inverse))
+    close(found.reduced, inverse[: linear.size, : linear.size])
+    close(found.eliminated(), blocks_of_eliminated(linear, inverse))
 
 
 def test_of_a_point_that_nobody_sees_nothing_is_known_and_the_others_are_as_without_it(make_linear):
     linear = often_seen(make_linear())
-    with_idle = replace(linear, num_points=linear.num_points + 2)
+    with_idle = replace(linear, num_eliminated=linear.num_eliminated + 2)
 
     found = Covariance.of(with_idle.system())
 
     expected = Covariance.of(linear.system())
-    close(found.kept, expected.kept)
-    close(found.points()[:-2], expected.points())
-    assert (found.points()[-2:].diagonal(dim1=1, dim2=2) > 1e100).all()
+    close(found.reduced, expected.reduced)
+    close(found.eliminated()[:-2], expected.eliminated())
+    assert (found.eliminated()[-2:].diagonal(dim1=1, dim2=2) > 1e100).all()
 
 
 def test_it_scales_with_the_units_of_the_unknowns(make_linear, draw):
@@ -163,8 +163,8 @@ def test_it_scales_with_the_units_of_the_unknowns(make_linear, draw):
     found, other = Covariance.of(linear.system()), Covariance.of(linear.in_units(unit).system())
 
     outer = unit[:, None] * unit
-    torch.testing.assert_close(other.points() * outer[-3:, -3:], found.points(), rtol=1e-8, atol=1e-12)
-    torch.testing.assert_close(other.kept[:6, :6] * outer[:6, :6], found.kept[:6, :6], rtol=1e-8, atol=1e-12)
+    torch.testing.assert_close(other.eliminated() * outer[-3:, -3:], found.eliminated(), rtol=1e-8, atol=1e-12)
+    torch.testing.assert_close(other.reduced[:6, :6] * outer[:6, :6], found.reduced[:6, :6], rtol=1e-8, atol=1e-12)
 
 
 @pytest.mark.parametrize("known", [0, 3])
@@ -181,7 +181,7 @@ def test_more_unknowns_than_fit_raise_by_number(make_linear, monkeypatch):
 
     Covariance.of(often_seen(make_linear(extra=1)).system())
 
-    with pytest.raises(SingularError, match="there are 32 unknowns beside the points, more than 31"):
+    with pytest.raises(SingularError, match="there are 32 reduced unknowns, more than 31"):
         Covariance.of(often_seen(make_linear(extra=2)).system())
 
 
@@ -190,6 +190,6 @@ def test_the_system_stays_as_it_was(make_linear, draw):
     system: NormalEquations = linear.system(null_space)
     before = system.dense().clone(), system.rows.clone(), null_space.clone()
 
-    Covariance.of(system).points()
+    Covariance.of(system).eliminated()
 
     assert all(map(torch.equal, before, (system.dense(), system.rows, null_space)))

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from tests.optim.linear_problems import DenseElimination, at_places, of_points
+from tests.optim.linear_problems import DenseElimination, at_places, of_eliminated
 from torchrefrac.optim import Elimination
 
 SHAPES = [
@@ -40,7 +40,7 @@ def test_the_lower_triangle_of_the_reduced_system_is_the_schur_complement(make_l
 
     complement = dense.b - dense.e @ dense.v_inverse @ dense.e.T
     close(matrix.tril(), complement.tril())
-    close(negative, dense.kept_gradient - dense.e @ dense.v_inverse @ dense.point_gradient)
+    close(negative, dense.reduced_gradient - dense.e @ dense.v_inverse @ dense.eliminated_gradient)
 
 
 def test_without_damping_the_schur_complement_is_that_of_the_hessian_itself(make_linear):
@@ -58,47 +58,47 @@ def test_without_damping_the_schur_complement_is_that_of_the_hessian_itself(make
 def test_along_points_and_along_cameras_are_products_with_the_off_diagonal_block(make_linear, portions, draw, shape):
     linear = make_linear(**shape)
     elimination, dense = Elimination(linear.system(), 1e-3), DenseElimination.of(linear, 1e-3)
-    x, y = draw.normal(linear.size), draw.normal(3 * linear.num_points)
+    x, y = draw.normal(linear.size), draw.normal(3 * linear.num_eliminated)
 
-    close(of_points(elimination, elimination.along_points(x)), dense.e.T @ x)
-    close(elimination.along_cameras(at_places(elimination, y)), dense.e @ y)
+    close(of_eliminated(elimination, elimination.to_eliminated(x)), dense.e.T @ x)
+    close(elimination.to_reduced(at_places(elimination, y)), dense.e @ y)
 
 
 @shapes
 def test_times_inverse_and_back_substitution_solve_for_the_points(make_linear, portions, draw, shape):
     linear = make_linear(**shape)
     elimination, dense = Elimination(linear.system(), 1e-3), DenseElimination.of(linear, 1e-3)
-    x, y = draw.normal(linear.size), draw.normal(3 * linear.num_points)
+    x, y = draw.normal(linear.size), draw.normal(3 * linear.num_eliminated)
     y *= dense.v_inverse.diagonal() > 0.0
 
-    close(of_points(elimination, elimination.times_inverse(at_places(elimination, y))), dense.v_inverse @ y)
-    expected = -dense.v_inverse @ (dense.point_gradient + dense.e.T @ x)
-    close(of_points(elimination, elimination.back_substitute(x)), expected)
+    close(of_eliminated(elimination, elimination.times_inverse(at_places(elimination, y))), dense.v_inverse @ y)
+    expected = -dense.v_inverse @ (dense.eliminated_gradient + dense.e.T @ x)
+    close(of_eliminated(elimination, elimination.back_substitute(x)), expected)
 
 
 @shapes
 def test_the_tiles_are_the_whitened_off_diagonal_block(make_linear, portions, shape):
     linear = make_linear(**shape)
     elimination = Elimination(linear.system(), 0.5)
-    plan, (m, tile) = elimination.system.plan, (linear.num_cameras, portions[0])
+    plan, (m, tile) = elimination.system.plan, (linear.num_reduced, portions[0])
     z = torch.zeros(plan.num_places, 3, 6 * m + 6 + plan.num_shared, dtype=torch.float64)
 
-    for chunk, by_camera, by_shared in elimination.tiles():
+    for chunk, by_block, by_shared in elimination.tiles():
         here = z.view(-1, tile * 3, z.shape[-1])[chunk.tiles]
         here[..., 6 * m + 6 :] = by_shared
-        blocks = by_camera.unflatten(-1, (-1, 6))
-        for b, cameras in enumerate(chunk.cameras.tolist()):
+        blocks = by_block.unflatten(-1, (-1, 6))
+        for b, cameras in enumerate(chunk.reduced.tolist()):
             for slot, camera in enumerate(cameras):
                 here[b, :, 6 * camera : 6 * camera + 6] = blocks[b, :, slot]
 
     assert not z[..., 6 * m : 6 * m + 6].any()  # what a tile is filled up with
     columns = [*range(6 * m), *range(6 * m + 6, z.shape[-1])]
-    whitened = z[plan.place_of_point][..., columns].flatten(0, 1)
+    whitened = z[plan.place_of][..., columns].flatten(0, 1)
     dense = DenseElimination.of(linear, 0.5)
     e = dense.e[: len(columns)]
     close(whitened.T @ whitened, e @ dense.v_inverse @ e.T)
-    x = elimination.factor.new_zeros(linear.num_points, 3, 3)
-    x[:, [0, 1, 1, 2, 2, 2], [0, 0, 1, 0, 1, 2]] = elimination.factor[:, plan.place_of_point].T
+    x = elimination.factor.new_zeros(linear.num_eliminated, 3, 3)
+    x[:, [0, 1, 1, 2, 2, 2], [0, 0, 1, 0, 1, 2]] = elimination.factor[:, plan.place_of].T
     close(whitened, torch.block_diag(*x) @ e.T)
 
 
@@ -139,7 +139,7 @@ def test_what_nobody_sees_gives_finite_zeros(make_linear, portions, draw):
     assert matrix.isfinite().all()
     for values in (matrix.tril()[18:24], matrix.tril()[:, 18:24], negative[18:24]):
         assert not values.any()
-    unseen = elimination.system.plan.place_of_point[4::5]
+    unseen = elimination.system.plan.place_of[4::5]
     assert not elimination.back_substitute(draw.normal(linear.size))[:, unseen].any()
 
 

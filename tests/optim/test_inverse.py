@@ -27,9 +27,9 @@ def portions(request, cut):
 
 def often_seen(linear, at_least=2):
     """The same without the points that fewer cameras see."""
-    seen = torch.bincount(linear.point, minlength=linear.num_points) >= at_least
+    seen = torch.bincount(linear.point, minlength=linear.num_eliminated) >= at_least
     where = linear.where(seen[linear.point])
-    return replace(where, point=(torch.cumsum(seen, dim=0) - 1)[where.point], num_points=int(seen.sum()))
+    return replace(where, point=(torch.cumsum(seen, dim=0) - 1)[where.point], num_eliminated=int(seen.sum()))
 
 
 def matrix_of(operator, size):
@@ -70,7 +70,7 @@ def test_the_stiffness_is_along_the_gauge_and_nowhere_else(make_linear, draw):
 
     inverse = GaussNewtonInverse.of(linear.system(null_space))
 
-    added = matrix_of(inverse.gauge_times, linear.size + 3 * linear.num_points)
+    added = matrix_of(inverse.gauge_times, linear.size + 3 * linear.num_eliminated)
     projector = torch.zeros_like(added)
     projector[: linear.size, : linear.size] = null_space @ null_space.T
     close(added, float(inverse.stiffness) * projector)
@@ -79,7 +79,7 @@ def test_the_stiffness_is_along_the_gauge_and_nowhere_else(make_linear, draw):
 
 def test_without_a_gauge_nothing_is_added(make_linear, draw):
     linear = often_seen(make_linear())
-    vector = draw.normal(linear.size + 3 * linear.num_points)
+    vector = draw.normal(linear.size + 3 * linear.num_eliminated)
 
     added = GaussNewtonInverse.of(linear.system()).gauge_times(vector)
 
@@ -90,11 +90,11 @@ def test_without_a_gauge_nothing_is_added(make_linear, draw):
 def test_cameras_and_points_without_observations_stand_still_and_move_nothing(make_linear, draw, gauge):
     linear, null_space = with_gauge(often_seen(make_linear()), draw)
     linear = often_seen(linear.where(linear.camera != 2))
-    linear = replace(linear, num_points=linear.num_points + 1)
-    idle = torch.zeros(linear.size + 3 * linear.num_points, dtype=torch.bool)
+    linear = replace(linear, num_eliminated=linear.num_eliminated + 1)
+    idle = torch.zeros(linear.size + 3 * linear.num_eliminated, dtype=torch.bool)
     idle[12:18] = idle[-3:] = True
     if not gauge:
-        linear, null_space = replace(linear, by_kept=draw.normal(*linear.by_kept.shape)), None
+        linear, null_space = replace(linear, by_reduced=draw.normal(*linear.by_reduced.shape)), None
 
     inverse = GaussNewtonInverse.of(linear.system(null_space))
 

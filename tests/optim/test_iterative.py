@@ -45,7 +45,7 @@ def test_the_whole_step_is_that_of_the_full_normal_equations(make_linear, shape)
 def test_what_nothing_depends_on_stands_still(make_linear, draw):
     linear = make_linear(families=[(2, 5)], extra=2)
     linear = replace(linear, terms=())
-    linear.by_kept[linear.camera == 1, :, 2:5] = 0.0
+    linear.by_reduced[linear.camera == 1, :, 2:5] = 0.0
     linear = linear.where((linear.point != 4) & (linear.camera != 2))
     elimination = Elimination(linear.system(), 1e-3)
 
@@ -61,7 +61,7 @@ def test_a_looser_tolerance_leaves_a_greater_residual(make_linear):
     linear = make_linear(cameras=9, points=150, pairs=500)
     elimination, dense = Elimination(linear.system(), 1e-4), DenseElimination.of(linear, 1e-4)
     system = dense.b + 1e-4 * torch.diag(dense.b.diagonal()) - dense.e @ dense.v_inverse @ dense.e.T
-    right = dense.e @ dense.v_inverse @ dense.point_gradient - dense.kept_gradient
+    right = dense.e @ dense.v_inverse @ dense.eliminated_gradient - dense.reduced_gradient
 
     residuals = []
     for tolerance in (1e-1, 1e-4, 1e-8):
@@ -104,8 +104,8 @@ def test_coarse_directions_in_which_the_cost_is_nearly_flat_are_taken_at_once(ma
     blind, weak = with_gauge(linear, draw)
     linear = replace(
         blind,
-        by_kept=blind.by_kept + 1e-3 * (linear.by_kept - blind.by_kept),
-        by_point=blind.by_point + 1e-3 * (linear.by_point - blind.by_point),
+        by_reduced=blind.by_reduced + 1e-3 * (linear.by_reduced - blind.by_reduced),
+        by_eliminated=blind.by_eliminated + 1e-3 * (linear.by_eliminated - blind.by_eliminated),
     )
     elimination = Elimination(linear.system(), 1e-9)
     exact, _ = solve_dense(elimination)

@@ -33,7 +33,7 @@ class Rosenbrock:
         return _Dense(self, cost, jacobian, self.residual(state))
 
     def retract(self, state, step):
-        return state + step.kept
+        return state + step.reduced
 
 
 class _Dense:
@@ -60,7 +60,7 @@ class Uphill(Rosenbrock):
     """Steps that promise much and always go up."""
 
     def retract(self, state, step):
-        return state - step.kept
+        return state - step.reduced
 
 
 class Cliff(Rosenbrock):
@@ -89,7 +89,7 @@ class _Singular:
         step = self.dense.solve(damping)
         if len(self.dense.problem.dampings) > self.dense.problem.times:
             return step
-        return Step(0.0 * step.kept, step.point, 0.0 * step.predicted_decrease, torch.tensor(False))
+        return Step(0.0 * step.reduced, step.eliminated, 0.0 * step.predicted_decrease, torch.tensor(False))
 
 
 def test_the_minimum_of_rosenbrocks_valley_is_found():

@@ -20,7 +20,7 @@ def test_the_step_is_that_of_the_full_damped_normal_equations(make_linear, shape
     step = linear.step(damping)
 
     assert step.solved
-    assert step.point.shape == (12, 3)
+    assert step.eliminated.shape == (12, 3)
     torch.testing.assert_close(flat(step), linear.dense_step(damping), rtol=1e-7, atol=1e-9)
 
 
@@ -29,12 +29,12 @@ def test_the_step_is_that_of_the_full_damped_normal_equations(make_linear, shape
 def test_points_that_are_held_leave_the_normal_equations_of_what_is_kept(make_linear, shape, damping):
     """These have derivatives of zero in their points."""
     linear = make_linear(**shape)
-    linear = replace(linear, by_point=torch.zeros_like(linear.by_point))
+    linear = replace(linear, by_eliminated=torch.zeros_like(linear.by_eliminated))
 
     step = linear.step(damping)
 
     assert step.solved
-    assert not step.point.any()
+    assert not step.eliminated.any()
     torch.testing.assert_close(flat(step), linear.dense_step(damping), rtol=1e-7, atol=1e-9)
 
 
@@ -86,7 +86,7 @@ def test_what_nothing_depends_on_stands_still_and_the_rest_moves_as_without_it(m
     """A point and a camera that see nothing, unknowns of a camera that are held, and an extra one without a term."""
     linear = make_linear(pairs=58, families=[(2, 2)], extra=3)
     still = torch.tensor([8, 9, 10, *range(12, 18), linear.size - 1])
-    linear.by_kept[linear.camera == 1, :, 2:5] = 0.0
+    linear.by_reduced[linear.camera == 1, :, 2:5] = 0.0
     (term,) = linear.terms
     term.columns[torch.isin(term.columns, still)] = linear.size
     linear = linear.where((linear.point != 4) & (linear.camera != 2))
@@ -94,8 +94,8 @@ def test_what_nothing_depends_on_stands_still_and_the_rest_moves_as_without_it(m
     step = linear.step(damping)
 
     assert step.solved
-    assert not step.point[4].any()
-    assert not step.kept[still].any()
+    assert not step.eliminated[4].any()
+    assert not step.reduced[still].any()
     torch.testing.assert_close(flat(step), linear.dense_step(damping), rtol=1e-7, atol=1e-9)
 
 
@@ -119,7 +119,7 @@ def test_a_singular_system_is_not_solved_and_what_is_kept_stays(make_linear):
     step = linear.where(others | (torch.arange(45) == once)).step(0.0)
 
     assert not step.solved
-    assert not step.kept.any()
+    assert not step.reduced.any()
 
 
 @pytest.mark.parametrize("solver", ["dense", "iterative"])
@@ -127,12 +127,12 @@ def test_a_singular_system_is_not_solved_and_what_is_kept_stays(make_linear):
 @pytest.mark.parametrize("families", [(), ((3, 1),)], ids=str)
 def test_derivatives_that_are_no_numbers_are_not_solved_and_what_is_kept_stays(make_linear, solver, bad, families):
     linear = make_linear(families=families)
-    linear.by_kept[3, 0, 0] = bad
+    linear.by_reduced[3, 0, 0] = bad
 
     step = Linearized(linear.system(), solver).solve(1e-4)
 
     assert not step.solved
-    assert not step.kept.any()
+    assert not step.reduced.any()
 
 
 @shapes
@@ -144,7 +144,7 @@ def test_along_the_null_space_the_undamped_step_stands_still(make_linear, draw, 
     step = linear.step(0.0, gauge)
 
     assert step.solved
-    assert (gauge.T @ step.kept).abs().amax() < 1e-9
+    assert (gauge.T @ step.reduced).abs().amax() < 1e-9
     torch.testing.assert_close(hessian @ flat(step), -gradient, rtol=0.0, atol=1e-8)
 
 
@@ -153,7 +153,7 @@ def test_along_the_null_space_a_slightly_damped_step_hardly_moves(make_linear, d
 
     step = linear.step(1e-4, gauge)
 
-    assert (gauge.T @ step.kept).norm() < 1e-2 * step.kept.norm()
+    assert (gauge.T @ step.reduced).norm() < 1e-2 * step.reduced.norm()
 
 
 def test_the_solver_is_dense_up_to_a_size_and_iterative_beyond_it(make_linear, monkeypatch):
@@ -177,5 +177,5 @@ def test_the_dtype_is_kept(make_linear, solver):
 
     step = Linearized(single, solver).solve(1.0)
 
-    assert step.kept.dtype == step.point.dtype == step.predicted_decrease.dtype == torch.float32
+    assert step.reduced.dtype == step.eliminated.dtype == step.predicted_decrease.dtype == torch.float32
     torch.testing.assert_close(flat(step).double(), linear.dense_step(1.0), rtol=1e-3, atol=1e-4)

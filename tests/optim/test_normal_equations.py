@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from tests.optim.linear_problems import at_places, of_points
+from tests.optim.linear_problems import at_places, of_eliminated
 from tests.tolerances import assert_matches
 from torchrefrac.optim import Blocks, Elimination
-from torchrefrac.optim.normal_equations import UPPER, in_cache
+from torchrefrac.optim.normal_equations import LOWER, in_cache
 
 SHAPES = [
     {},
@@ -55,10 +55,10 @@ def test_the_points_have_the_hessian_and_gradient_of_the_full_normal_equations(m
     system = linear.system()
 
     places = Elimination(system, 0.0)
-    assert_matches(of_points(places, system.point_gradient), gradient[k:], slack=10.0)
+    assert_matches(of_eliminated(places, system.eliminated_gradient), gradient[k:], slack=10.0)
     blocks = hessian[k:, k:].view(12, 3, 12, 3).diagonal(dim1=0, dim2=2)
-    lower = torch.stack([blocks[i, j] for i, j in UPPER])
-    assert_matches(system.point_hessian[:, system.plan.place_of_point], lower, slack=10.0)
+    lower = torch.stack([blocks[i, j] for i, j in LOWER])
+    assert_matches(system.eliminated_hessian[:, system.plan.place_of], lower, slack=10.0)
 
 
 def test_places_without_a_point_are_zero(make_linear, cut):
@@ -67,8 +67,8 @@ def test_places_without_a_point_are_zero(make_linear, cut):
 
     taken = at_places(Elimination(system, 0.0), torch.ones(36, dtype=torch.float64))
 
-    assert not system.point_gradient[taken == 0.0].any()
-    assert not system.point_hessian[:, taken[0] == 0.0].any()
+    assert not system.eliminated_gradient[taken == 0.0].any()
+    assert not system.eliminated_hessian[:, taken[0] == 0.0].any()
     assert int((taken[0] == 0.0).sum()) == 3
 
 
@@ -80,7 +80,7 @@ def test_the_order_of_the_observations_does_not_matter(make_linear, generator):
 
     assert torch.equal(one.rows, other.rows)
     assert torch.equal(one.dense(), other.dense())
-    assert torch.equal(one.point_hessian, other.point_hessian)
+    assert torch.equal(one.eliminated_hessian, other.eliminated_hessian)
 
 
 def test_the_cost_is_handed_through(make_linear):

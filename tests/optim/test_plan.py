@@ -20,9 +20,9 @@ def test_the_order_sorts_the_observations_by_place_then_camera(make_linear, port
     made = linear.plan()
 
     assert torch.equal(made.order.sort().values, torch.arange(70))
-    assert torch.equal(made.camera, linear.camera[made.order])
-    assert torch.equal(made.point, made.place_of_point[linear.point[made.order]])
-    rank = made.point * 5 + made.camera
+    assert torch.equal(made.reduced, linear.camera[made.order])
+    assert torch.equal(made.place, made.place_of[linear.point[made.order]])
+    rank = made.place * 5 + made.reduced
     assert (rank.diff() > 0).all()
 
 
@@ -31,8 +31,8 @@ def test_every_point_has_a_place_of_its_own_and_the_tiles_are_as_few_as_can_be(m
 
     made = make_linear(points=30, pairs=70).plan()
 
-    assert len(made.place_of_point.unique()) == 30
-    assert made.place_of_point.max() < made.num_places
+    assert len(made.place_of.unique()) == 30
+    assert made.place_of.max() < made.num_places
     assert made.num_places == -(-30 // tile) * tile
 
 
@@ -45,7 +45,7 @@ def test_the_chunks_hold_every_observation_once_and_no_empty_tile(make_linear, p
     listed = torch.cat([torch.arange(len(made.order))[chunk.observations] for chunk in made.chunks])
     assert torch.equal(listed, torch.arange(len(made.order)))
     tiles = torch.cat([torch.arange(chunk.tiles.start, chunk.tiles.stop) for chunk in made.chunks])
-    assert torch.equal(tiles, (made.point // portions[0]).unique())
+    assert torch.equal(tiles, (made.place // portions[0]).unique())
 
 
 def test_a_chunk_knows_who_sees_its_tiles_and_where_each_observation_belongs(make_linear, portions):
@@ -53,12 +53,12 @@ def test_a_chunk_knows_who_sees_its_tiles_and_where_each_observation_belongs(mak
     made = make_linear(points=30, pairs=70).plan()
 
     for chunk in made.chunks:
-        across = chunk.cameras.shape[1]
-        row, slot = chunk.place // across, chunk.place % across
-        assert torch.equal(row, 3 * (made.point[chunk.observations] - chunk.tiles.start * tile))
-        assert torch.equal(chunk.cameras[row // (3 * tile), slot], made.camera[chunk.observations])
-        for cameras, number in zip(chunk.cameras, range(chunk.tiles.start, chunk.tiles.stop), strict=True):
-            seen_by = made.camera[made.point // tile == number].unique()
+        across = chunk.reduced.shape[1]
+        row, slot = chunk.slot // across, chunk.slot % across
+        assert torch.equal(row, 3 * (made.place[chunk.observations] - chunk.tiles.start * tile))
+        assert torch.equal(chunk.reduced[row // (3 * tile), slot], made.reduced[chunk.observations])
+        for cameras, number in zip(chunk.reduced, range(chunk.tiles.start, chunk.tiles.stop), strict=True):
+            seen_by = made.reduced[made.place // tile == number].unique()
             assert torch.equal(cameras[: len(seen_by)], seen_by)
             assert (cameras[len(seen_by) :] == 5).all()
 
@@ -68,12 +68,12 @@ def test_chunks_stay_within_their_size_unless_they_are_one_tile_and_are_about_as
 
     made = make_linear(points=60, pairs=130).plan()
 
-    widths = torch.cat([(chunk.cameras < 5).sum(dim=1) for chunk in made.chunks])
+    widths = torch.cat([(chunk.reduced < 5).sum(dim=1) for chunk in made.chunks])
     assert (widths.diff() >= 0).all()
     for chunk in made.chunks:
-        count, across = chunk.cameras.shape
+        count, across = chunk.reduced.shape
         assert count == 1 or count * across * tile * 3 * 6 <= elements
-        narrowest = int((chunk.cameras < 5).sum(dim=1).min())
+        narrowest = int((chunk.reduced < 5).sum(dim=1).min())
         assert narrowest <= across <= narrowest * 1.15 + 1
 
 
@@ -84,7 +84,7 @@ def test_points_of_near_locality_share_a_tile(cut, generator):
     made = SchurPlan.create(torch.arange(23) % 5, torch.arange(23), 5, 23, locality=locality)
 
     rank = locality // 100
-    mates = (made.place_of_point[:, None] // 4) == (made.place_of_point // 4)
+    mates = (made.place_of[:, None] // 4) == (made.place_of // 4)
     assert torch.equal(mates, (rank[:, None] // 4) == (rank // 4))
 
 
@@ -96,9 +96,9 @@ def test_without_locality_points_that_the_same_cameras_see_share_a_tile(cut):
 
     made = SchurPlan.create(camera, torch.arange(12).repeat(2), 6, 12)
 
-    mates = (made.place_of_point[:, None] // 4) == (made.place_of_point // 4)
+    mates = (made.place_of[:, None] // 4) == (made.place_of // 4)
     assert torch.equal(mates, group[:, None] == group)
-    assert [chunk.cameras.tolist() for chunk in made.chunks] == [[[0, 1], [2, 3], [4, 5]]]
+    assert [chunk.reduced.tolist() for chunk in made.chunks] == [[[0, 1], [2, 3], [4, 5]]]
 
 
 def test_the_columns_are_the_pose_of_the_camera_and_its_member_of_each_family():
@@ -138,7 +138,7 @@ def test_the_gram_rows_list_the_observations_of_each_camera_once(make_linear, cu
         for row, camera in zip(table[first:end], owner[first:end], strict=True):
             listed = stretch * cached + row[row < cached]
             assert len(listed)
-            assert (made.camera[listed] == camera).all()
+            assert (made.reduced[listed] == camera).all()
             found.append(listed)
         first = end
     assert table.shape == (len(owner), gram)
@@ -154,10 +154,13 @@ def test_without_observations_there_is_nothing_to_multiply(points):
 
     assert made.chunks == ()
     assert made.size == 12
-    assert len(made.place_of_point) == points
+    assert len(made.place_of) == points
     assert made.gram_rows[0].shape == (0, plan.GRAM_ROWS)
 
 
 def test_a_camera_that_sees_a_point_twice_is_refused():
-    with pytest.raises(ValueError, match="a camera sees a point twice; each pair of camera and point may occur once"):
+    with pytest.raises(
+        ValueError,
+        match="two observations are of the same reduced and the same eliminated block",
+    ):
         SchurPlan.create(torch.tensor([0, 1, 0]), torch.tensor([2, 2, 2]), 2, 3)

@@ -209,7 +209,7 @@ def test_several_recorders_pass_on_what_they_are_told(name):
     told = {
         "histogram": ("residuals/px", torch.ones(2), 0),
         "picture": ("matches/1", torch.zeros(1, 1, 3, dtype=torch.uint8), 0),
-        "cloud": ("sparse", torch.zeros(1, 3), torch.zeros(1, 3), 0),
+        "cloud": ("sparse", torch.zeros(1, 3), torch.zeros(1, 3, dtype=torch.uint8), 0),
         "scalar": ("adjustment/cost", 1.0, 0),
         "detail": ("cost 2 to 1",),
     }[name]

@@ -155,13 +155,17 @@ def test_a_run_that_breaks_off_leaves_its_events(tmp_path):
 
 
 def test_events_that_cannot_be_written_do_not_hide_why_a_run_failed(tmp_path, monkeypatch):
-    def full():
-        raise OSError(28, "No space left on device")
+    from torch.utils.tensorboard import SummaryWriter  # noqa: PLC0415 - slow to import
+
+    close = SummaryWriter.close
+
+    def full(writer):
+        close(writer)
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     def run():
-        with TensorBoardRecorder(tmp_path) as board:
-            closed = board._writer.close
-            monkeypatch.setattr(board._writer, "close", lambda: (closed(), full()))
+        with TensorBoardRecorder(tmp_path):
+            monkeypatch.setattr(SummaryWriter, "close", full)
             raise RuntimeError("no two images can be related")
 
     with pytest.raises(RuntimeError, match="no two images can be related"):

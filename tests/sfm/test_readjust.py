@@ -265,7 +265,7 @@ def test_a_plane_below_the_points_is_remarked_upon(plant, draw):
     low = replace(planted.water, offset=torch.tensor([-500.0], dtype=torch.float64))
     notes = Notes()
 
-    readjust(planted.as_of_a_pinhole(draw), low, options=options(), recorder=notes)
+    readjust(planted.as_of_a_pinhole(draw), low, options=ReadjustOptions(rounds=1), recorder=notes)
 
     assert notes.lines[0].startswith("80 of 80 points lie above the water, where nothing refracts")
 

@@ -4,6 +4,7 @@ import errno
 import hashlib
 import json
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from filelock import FileLock
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.files.capture import load_capture
@@ -19,7 +21,6 @@ from torchrefrac.files.truth import load_truth
 from torchrefrac.files.truth_points import load_truth_points
 from torchrefrac.recorder import SilentRecorder
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.synthetic import library
 from torchrefrac.synthetic.library import render_scene, scene_folder
 from torchrefrac.synthetic.photograph import Photographer
 from torchrefrac.synthetic.stage import SceneError
@@ -197,16 +198,16 @@ def test_two_that_want_the_same_scene_render_it_once(render, taken):
     assert taken == [0, 1, 2]
 
 
-def test_the_one_who_waits_is_told_so(render, taken, monkeypatch, options, tmp_path):
+def test_the_one_who_waits_is_told_so(stage, taken, monkeypatch, options, tmp_path):
     notes = []
     folder = scene_folder(options, tmp_path)
     recorder = SilentRecorder()
     monkeypatch.setattr(recorder, "note", notes.append, raising=False)
-    with library._alone(folder, recorder):
-        waiting = threading.Thread(target=lambda: library._alone(folder, recorder).__enter__(), daemon=True)
+    with FileLock(tmp_path / f".{folder.name}.lock"):  # as another process holds it that renders this scene
+        waiting = threading.Thread(target=render_scene, args=(stage, options, tmp_path, recorder), daemon=True)
         waiting.start()
         while not notes:
-            pass
+            time.sleep(0.01)
     waiting.join()
 
     assert notes == [f"another process is rendering {folder.name}; waiting for it"]

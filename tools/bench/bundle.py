@@ -24,6 +24,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from baseline import bench_parser, figure
+
 SCENES = {"50 cameras": (50, 20_000), "200 cameras": (200, 60_000)}
 LARGE = (1000, 300_000)
 TOLERANCE = 1e-10
@@ -31,7 +33,7 @@ HEADER = f"{'':<34} {'s / step':>9} {'ratio':>6} {'steps':>6} {'half SSE':>17} {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Bundle adjustment beside Ceres.")
+    parser = bench_parser("Bundle adjustment beside Ceres.")
     parser.add_argument("--ceres", type=Path, help="folder of the Ceres program and the scenes' generator")
     parser.add_argument("--only", default="peers,large,jacobian,iterative")
     parser.add_argument("--threads", default="1,2")
@@ -77,6 +79,9 @@ def _compare(program: Path, scene: Path, name: str, threads: int) -> None:
 def _show(label: str, result: dict[str, Any], peer: dict[str, Any] | None = None) -> None:
     each = result["seconds"] / result["steps"]
     ratio = f"{each / (peer['seconds'] / peer['steps']):.2f}" if peer else ""
+    if peer:
+        figure(f"{label}: time of a step to Ceres's", each / (peer["seconds"] / peer["steps"]), "x", "lower", 0.2)
+        figure(f"{label}: memory to Ceres's", result["peak"] / peer["peak"], "x", "lower")
     print(
         f"{label:<34} {each:>9.3f} {ratio:>6} {result['steps']:>6} {result['cost']:>17.9g} {result['seconds']:>7.2f} "
         f"{result['peak']:>6.2f}",

@@ -9,7 +9,6 @@ guesses a few pixels off, believed or not; PMVS2 makes 890 a second and core. Sa
 with kornia's warps on the windows of patches.
 """
 
-import argparse
 import math
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from typing import Any
 
 import kornia.geometry.transform as warps
 import torch
+from baseline import bench_parser, figure
 from torch import Tensor
 from whole_runs import MODELS, measured_run
 
@@ -43,7 +43,7 @@ HEADER = (
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Dense reconstruction: truth, time and memory.")
+    parser = bench_parser("Dense reconstruction: truth, time and memory.")
     parser.add_argument("capture", nargs="?", type=Path, help="folder with capture.json and truth.json")
     parser.add_argument("--only", choices=("runs", "patches", "sampling"))
     parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS)
@@ -87,6 +87,7 @@ def sampling(count: int = 2000) -> None:
     rates = {name: count * 49 / _seconds(way) / 1e6 for name, way in ways.items()}
     for name, rate in rates.items():
         print(f"  {name:<24} {rate:6.1f} M samples/s  {rate / rates['grid_sample']:5.2f}x")
+    figure("grid_sample, to kornia.warp_affine", rates["grid_sample"] / rates["kornia.warp_affine"], "x", "higher", 0.2)
 
 
 def patches(folder: Path) -> None:
@@ -119,6 +120,7 @@ def patches(folder: Path) -> None:
         print(
             f"  adjusting in up to {views} other images: {rate:6.0f} patches/s, {believed / len(chosen):.1%} believed"
         )
+        figure(f"adjusting in up to {views} other images", rate, "patches/s", "higher", 0.2)
 
 
 def runs(folder: Path, methods: list[str], models: list[str]) -> None:
@@ -138,6 +140,13 @@ def runs(folder: Path, methods: list[str], models: list[str]) -> None:
                 f"{_figure(m, 'dense_completeness_within_0.5_')[0]:>8.2%} {rms:>9.4f} {unit:<2} "
                 f"{m['seconds_dense']:>7.1f} {m['wall']:>6.1f} {m['peak']:>5.2f} {rms / reference:>5.0f}x"
             )
+            if model == "refractive":
+                label = f"{folder.name}, {method}"
+                figure(f"{label}: accurate", _figure(m, "dense_accuracy_within_0.2_")[0], "", "higher")
+                figure(f"{label}: complete", _figure(m, "dense_completeness_within_0.5_")[0], "", "higher")
+                figure(f"{label}: plane RMS", rms, unit, "lower")
+                figure(f"{label}: dense stage", m["seconds_dense"], "s", "lower", 0.2)
+                figure(f"{label}: memory", m["peak"], "GiB", "lower")
 
 
 def _figure(metrics: dict[str, Any], prefix: str) -> tuple[float, str]:

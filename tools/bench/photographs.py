@@ -6,18 +6,18 @@ FOLDER holds two_view_points.json: for each view K, k1 and k2, R, centre and the
 and the true corners in millimetres. Prints the mean distance of the triangulated corners from the true ones.
 """
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
 
 import torch
+from baseline import bench_parser, figure
 
 import torchrefrac as tr
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Triangulation error on real photographs.")
+    parser = bench_parser("Triangulation error on real photographs.")
     parser.add_argument("folder", type=Path, help="folder with two_view_points.json")
     data = json.loads((parser.parse_args().folder / "two_view_points.json").read_text(encoding="utf-8"))
     truth = torch.tensor(data["points"], dtype=torch.float64)
@@ -27,6 +27,8 @@ def main() -> None:
         points, _ = tr.minimal.triangulate(origins, directions)
         error = (points - truth).norm(dim=-1)
         print(f"{label:<20} mean error {error.mean():6.2f} mm, worst {error.max():6.2f} mm, {len(truth)} corners")
+        if ratio > 1.0:
+            figure(f"{label}: mean error", float(error.mean()), "mm", "lower")
 
 
 def _rays(view: dict[str, Any], index_ratio: float) -> tuple[torch.Tensor, torch.Tensor]:

@@ -7,13 +7,13 @@ a part of the points), then the worst errors against roots in extended precision
 several runs counts. Compiling takes about a minute.
 """
 
-import argparse
 import math
 import time
 from collections.abc import Callable
 
 import numpy as np
 import torch
+from baseline import bench_parser, figure
 from torch import Tensor
 from tqdm import tqdm
 
@@ -26,7 +26,7 @@ INDEX_RATIO = 1.333
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Speed and accuracy of refraction on one core.")
+    parser = bench_parser("Speed and accuracy of refraction on one core.")
     parser.add_argument("--points", type=int, default=1_000_000)
     parser.add_argument("--no-compile", action="store_true", help="leave out what torch.compile makes")
     arguments = parser.parse_args()
@@ -42,11 +42,17 @@ def main() -> None:
     for name, rate in rates.items():
         peer = rates["companion eigenvalues, float32" if "float32" in name else "companion eigenvalues, float64"]
         print(f"{name:<58}{rate:>12.2f}{rate / peer:>13.0f}x")
+        if rate != peer:
+            figure(f"{name}, to companion", rate / peer, "x", "higher", 0.2)
     print(f"\n{'worst error':<58}{'float64':>12}{'float32':>14}")
     solve = [_worst_solve_error(dtype) for dtype in (np.float64, np.float32)]
     print(f"{'refrax ratio, relative (2 M cases, see the source)':<58}{solve[0]:>12.1e}{solve[1]:>14.1e}")
+    figure("refrax ratio, worst relative error, float64", solve[0], "", "lower", 0.5)
+    figure("refrax ratio, worst relative error, float32", solve[1], "", "lower", 0.5)
     trip = [_worst_round_trip(dtype) for dtype in (torch.float64, torch.float32)]
     print(f"{'project(cast_rays(u)) - u, pixels (1 M)':<58}{trip[0]:>12.1e}{trip[1]:>14.1e}")
+    figure("project(cast_rays(u)) - u, worst, float64", trip[0], "px", "lower", 0.5)
+    figure("project(cast_rays(u)) - u, worst, float32", trip[1], "px", "lower", 0.5)
 
 
 def _speed_jobs(points: int, with_compile: bool) -> dict[str, tuple[Callable[[], object], int]]:

@@ -8,12 +8,12 @@ rendered here in the colours of the seven others: the median over windows of 64 
 shift that all windows have in common, and the median difference of a grey value.
 """
 
-import argparse
 import time
 
 import numpy as np
 import torch
 from agreement import Tank
+from baseline import bench_parser, figure
 
 from torchrefrac.synthetic.options import SyntheticOptions
 from torchrefrac.synthetic.photograph import Photographer
@@ -25,7 +25,7 @@ SAMPLES = 2
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Speed of the renderer, and agreement with POV-Ray.")
+    parser = bench_parser("Speed of the renderer, and agreement with POV-Ray.")
     parser.add_argument("--only", choices=(*SCENES, "agreement"), help="by default everything")
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
@@ -53,6 +53,7 @@ def _time(options: SyntheticOptions) -> None:
         f"{max(walls):.2f}), {min(processors):.2f} s of processor time; {once:.1f} s once",
         flush=True,
     )
+    figure(f"{options.name}: processor time of an image", min(processors), "s", "lower", 0.2)
 
 
 def _agree() -> None:
@@ -68,6 +69,7 @@ def _agree() -> None:
             flush=True,
         )
     worst = max(a.shift for a in found)
+    figure("agreement with POV-Ray, worst photograph", worst, "px", "lower")
     print(f"worst photograph {worst:.4f} px, all windows {np.median([a.shift for a in found]):.4f} px")
 
 

@@ -7,7 +7,6 @@ options and the same error limit, on the same scene without water: that is the p
 Each worker takes a part of the problems and one thread. Speeds are measured alone, medians over several problems.
 """
 
-import argparse
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -17,6 +16,7 @@ from multiprocessing import get_context
 
 import numpy as np
 import torch
+from baseline import bench_parser, figure
 from solver_problems import GEOMETRIES, HEADING_LIMIT_DEG, POSITION_LIMIT, Problem, make_problem
 from torch import Tensor
 from tqdm import tqdm
@@ -33,7 +33,7 @@ SPEED_PROBLEMS = 25
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Pose solvers and RANSAC: success, accuracy, speed.")
+    parser = bench_parser("Pose solvers and RANSAC: success, accuracy, speed.")
     parser.add_argument("--problems", type=int, default=1000)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--only", default="minimal,relative,absolute,vertical,speed", help="parts to run, by commas")
@@ -63,10 +63,13 @@ def _report_minimal(problems: int) -> None:
             if noise == 0.0:
                 four, seven, two = (found < 1e-6).double().mean(dim=0).tolist()
                 print(f"{geometry + ', noise-free: true pose found':<44}{four:>10.2%}{seven:>10.2%}{two:>10.2%}")
+                for points, share in ((4, four), (7, seven), (2, two)):
+                    figure(f"{geometry}, noise-free, {points}-point: true pose found", share, "", "higher", 0.03)
             else:
                 four, seven, two = found.median(dim=0).values.tolist()
                 label = f"{geometry}, {noise} px: median position error"
                 print(f"{label:<44}{four:>10.2%}{seven:>10.2%}{two:>10.3%}{seven / four:>8.2f}")
+                figure(f"{label}, 4-point", four, "of baseline", "lower")
 
 
 def _solve_minimal(geometry: str, noise: float, seed: int) -> tuple[float, float, float]:
@@ -121,6 +124,8 @@ def _report_relative(run: Callable) -> None:
                     f"{ratio:>8.3f}{1e3 * seconds.median():>8.0f}{samples.median():>9.0f}",
                     flush=True,
                 )
+                figure(f"relative pose, {label}: right", float(right.double().mean()), "", "higher", 0.03)
+                figure(f"relative pose, {label}: over the bound", float(ratio), "x", "lower")
 
 
 def _relative(geometry: str, outliers: float, gravity_deg: float, seed: int) -> tuple[float, ...]:
@@ -155,6 +160,8 @@ def _report_absolute(run: Callable) -> None:
                 f"{'':>8}{1e3 * seconds.median():>8.0f}{samples.median():>9.0f}",
                 flush=True,
             )
+            figure(f"absolute pose, {label}: right", float(right.double().mean()), "", "higher", 0.03)
+            figure(f"absolute pose, {label}: position", float(position.median()), "of height", "lower")
 
 
 def _absolute(geometry: str, outliers: float, gravity_deg: float, seed: int) -> tuple[float, ...]:
@@ -186,6 +193,8 @@ def _report_vertical(run: Callable) -> None:
                 f"{ratio[ratio.isfinite()].square().mean().sqrt():>8.2f}{1e3 * seconds.median():>8.0f}",
                 flush=True,
             )
+            found = float((angle < 1.0).double().mean())
+            figure(f"unknown verticals, {geometry}, {outliers:.0%} outliers: within 1 deg", found, "", "higher", 0.03)
 
 
 def _vertical(geometry: str, outliers: float, seed: int) -> tuple[float, float, float]:
@@ -216,6 +225,7 @@ def _report_speed() -> None:
             ]
             mine, peer, at_will = 1e3 * np.median(np.array(times[2:]), axis=0)
             print(f"{f'{geometry}, {name}':<44}{mine:>7.1f} ms{peer:>7.1f} ms{mine / peer:>8.2f}{at_will:>7.1f} ms")
+            figure(f"{geometry}, {name}: time to PoseLib's", mine / peer, "x", "lower", 0.2)
     _report_scoring()
 
 

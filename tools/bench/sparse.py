@@ -6,10 +6,10 @@ Runs every model on the embedded scene and on the captures given, each in a proc
 The radial and no-refraction models are the peers: the last column is their camera error over the refractive one.
 """
 
-import argparse
 from pathlib import Path
 from typing import Any
 
+from baseline import bench_parser, figure
 from whole_runs import MODELS, measured_run
 
 HEADER = (
@@ -18,7 +18,7 @@ HEADER = (
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Sparse reconstruction: accuracy, time and memory.")
+    parser = bench_parser("Sparse reconstruction: accuracy, time and memory.")
     parser.add_argument("captures", nargs="*", type=Path, help="folders with capture.json and truth.json")
     scenes = [["scene=tank_small"], *(["scene=capture", f"scene.path={p}"] for p in parser.parse_args().captures)]
     print(HEADER)
@@ -32,6 +32,13 @@ def main() -> None:
                 f"{name:<12} {model:<11} {m['registered_images']:>3}/{m['images']:<3} {m['points']:>7} "
                 f"{error:>9.4f} {unit} {m['wall']:>8.1f} {m['peak']:>5.2f} {error / best:>6.0f}x"
             )
+            if model == "refractive":
+                figure(f"{name}: camera RMS", error, unit, "lower")
+                figure(f"{name}: points", m["points"], "points", "higher")
+                figure(f"{name}: wall time", m["wall"], "s", "lower", 0.2)
+                figure(f"{name}: memory", m["peak"], "GiB", "lower")
+            else:
+                figure(f"{name}: camera RMS of {model} to refractive", error / best, "x", "higher")
 
 
 def _camera_rms(metrics: dict[str, Any]) -> tuple[float, str]:

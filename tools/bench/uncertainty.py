@@ -8,12 +8,12 @@ free. Prints for cameras, points, index ratio and plane the RMS error over the C
 true state; errors and bound both free of the gauge), and how often the truth lies in the reported 95 % region.
 """
 
-import argparse
 import math
 import time
 from dataclasses import dataclass, replace
 
 import torch
+from baseline import bench_parser, figure
 from scipy.stats import chi2
 from torch import Tensor
 
@@ -51,7 +51,7 @@ class Scene:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Errors over the Cramer-Rao bound, coverage of reported regions.")
+    parser = bench_parser("Errors over the Cramer-Rao bound, coverage of reported regions.")
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
@@ -62,6 +62,8 @@ def main() -> None:
         start = time.perf_counter()
         for name, ratio, coverage in study(scene, positions, arguments.draws, arguments.seed):
             print(f"{told + name:<34} {ratio:>12.3f} {100.0 * coverage:>13.1f} %")
+            figure(f"{told + name}, RMS over the bound", ratio, "x", "lower")
+            figure(f"{told + name}, truth in the 95 % region", coverage, "", "higher", 0.03)
         print(f"{'':<34} {time.perf_counter() - start:.0f} s")
 
 

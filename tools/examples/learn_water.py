@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("--height", type=float, default=3.0, help="guess of the water level, cm above the true one")
     parser.add_argument("--steps", type=int, default=60, help="steps of Adam at each of the four blurs")
     arguments = parser.parse_args()
-    images, cameras, boards, true_ratio = _load()
+    images, cameras, boards, true_ratio = load()
     guess = tr.FlatInterface(arguments.index_ratio, plane=tr.Plane(offset=arguments.height))
     camera = tr.RefractiveCamera(cameras.intrinsics, cameras.cam_from_world_rotation, cameras.center_in_world, guess)
     model = tr.LearnableCamera(camera, learn=("index_ratio", "plane_height"))
@@ -106,7 +106,7 @@ def _report(stage: str, model: tr.LearnableCamera) -> None:
     print(f"{stage:<17} index ratio {float(interface.index_like(level)):.4f}   water level {float(level):+.3f} cm")
 
 
-def _load() -> tuple[Tensor, tr.RefractiveCamera, list[Tensor], float]:
+def load() -> tuple[Tensor, tr.RefractiveCamera, list[Tensor], float]:
     folder = embedded_scene("tank_small")
     capture = tr.load_capture(folder)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))

@@ -6,7 +6,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import OverrideParseException
 
-from torchrefrac.cli.composed import CONF
+from torchrefrac.cli.conf import CONF
 
 QUIET = ("-q", "--quiet")
 MULTIRUN = ("-m", "--multirun")

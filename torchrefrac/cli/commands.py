@@ -14,9 +14,10 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from torchrefrac.cli.arguments import typed
-from torchrefrac.cli.composed import CONF, adjust_options, densify_options, run_options
+from torchrefrac.cli.composed import adjust_options, densify_options, run_options
+from torchrefrac.cli.conf import CONF
 from torchrefrac.cli.failures import EXPECTED, keep_failure, tell
-from torchrefrac.commands.adjust import readjust_run, require_apart
+from torchrefrac.commands.adjust import adjust_run, require_apart
 from torchrefrac.commands.densify import SparseRun, densify_run, open_run
 from torchrefrac.commands.reconstruct import run
 from torchrefrac.config import AdjustOptions, DensifyOptions, RunOptions, scene_folder
@@ -107,7 +108,7 @@ def _adjust(options: AdjustOptions, config: DictConfig, folder: Path) -> None:
         print(f"{options.alignment}: adjusting anew, into {os.path.relpath(folder)}", file=sys.stderr)
     _save(config, folder / ".hydra" / "config.yaml")
     with _recorders(folder, options.quiet) as recorder:
-        metrics = readjust_run(options, recorder, folder)
+        metrics = adjust_run(options, recorder, folder)
     if not options.quiet:
         print(summary(adjustment_lines(metrics)))
 
@@ -125,7 +126,7 @@ def densify(config: DictConfig) -> None:
 
 
 def _densify(sparse: SparseRun, options: DensifyOptions, config: DictConfig) -> None:
-    posed = int(sparse.reconstruction.registered.sum())
+    posed = sparse.scene.views.num_registered
     if not options.quiet:
         print(f"{options.run}: making {posed} images dense, method {options.dense.method}", file=sys.stderr)
     _save(config, sparse.folder / ".hydra" / "densify.yaml")

@@ -1,15 +1,11 @@
-"""Where the configuration lies, and the typed options of what Hydra composed of it."""
+"""The typed options of what Hydra composed."""
 
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
 from torchrefrac.config import AdjustOptions, DensifyOptions, Options, OutputOptions, RunOptions, build, build_scene
-
-PACKAGED = Path(__file__).resolve().parent.parent / "conf"
-CONF = PACKAGED if PACKAGED.is_dir() else PACKAGED.parent.parent / "conf"
 
 
 def run_options(config: DictConfig) -> RunOptions:

@@ -13,13 +13,12 @@ from torchrefrac.commands.reconstruct import ReconstructionError
 from torchrefrac.config import OptionError
 from torchrefrac.dense import DenseError
 from torchrefrac.files.run import METRICS, RunRecordError
-from torchrefrac.scene import AlignmentError, CaptureError, SurveyError
+from torchrefrac.scene import CaptureError, SceneError, SurveyError
 from torchrefrac.sfm import NoInitialPairError
 from torchrefrac.sweeps.failures import append_traceback, write_failure
 from torchrefrac.sweeps.folder import SweepError
 
 EXPECTED = (
-    AlignmentError,
     CaptureError,
     DenseError,
     MissingMandatoryValue,
@@ -28,6 +27,7 @@ EXPECTED = (
     OSError,
     ReconstructionError,
     RunRecordError,
+    SceneError,
     SurveyError,
     SweepError,
     UnadjustableError,

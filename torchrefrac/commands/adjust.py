@@ -1,4 +1,4 @@
-"""An alignment from files, adjusted anew with refraction, into files."""
+"""A reconstruction from files, adjusted with refraction, into files."""
 
 import time
 from collections.abc import Iterator
@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.config import FRESH_WATER, AdjustOptions, OptionError
@@ -15,56 +17,71 @@ from torchrefrac.evaluate.metrics import evaluate
 from torchrefrac.files.cameras import write_cameras, write_points
 from torchrefrac.files.colmap.model import STEMS, find_colmap, write_colmap
 from torchrefrac.files.survey import read_survey
-from torchrefrac.files.tracks import read_alignment, write_tracks
+from torchrefrac.files.tracks import read_scene, write_tracks
 from torchrefrac.files.truth import load_truth
-from torchrefrac.files.water import Water, read_water, write_water
-from torchrefrac.geometry import Plane, Similarity
+from torchrefrac.files.water import read_water, write_water
+from torchrefrac.geometry import Similarity
+from torchrefrac.numerics import segment_sum
 from torchrefrac.recorder import Recorder
-from torchrefrac.scene import Alignment, Reconstruction, Survey, Truth
-from torchrefrac.sfm.readjust import ReadjustOptions, readjust
-from torchrefrac.sfm.readjusted import Readjusted
-from torchrefrac.sfm.water_level import find_offset
+from torchrefrac.scene import Interfaces, Scene, Survey, Truth
+from torchrefrac.sfm import Outcome, ReadjustOptions, readjust, with_found_level
+from torchrefrac.sfm.frame import transformed
 
 MODEL, WATER, TRACKS = "colmap", "water.json", "tracks.npz"
-LEVEL = [0.0, 0.0, 1.0]
 
 
-def readjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict[str, Any]:
-    """Read the alignment, the water and the survey, adjust, evaluate where truth is at hand, and leave everything in
-    `folder`. Returns the metrics.
+def adjust(
+    scene: Scene,
+    *,
+    survey: Survey | None = None,
+    options: ReadjustOptions | None = None,
+    recorder: Recorder | None = None,
+) -> Scene:
+    """The scene adjusted with refraction at its interfaces and the measurements of a survey; only what fits stays.
+
+    Raises what `sfm.readjust` raises.
+    """
+    adjusted, _ = readjust(scene, survey, options, recorder)
+    return _finished(adjusted, len(scene.points))
+
+
+def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict[str, Any]:
+    """Read the reconstruction, the water and the survey, adjust, evaluate where truth is at hand, and leave everything
+    in `folder`. Returns the metrics.
 
     `folder` then holds colmap/, water.json, points.ply (with a standard deviation for every point), tracks.npz and
-    metrics.json; and cameras.json where there is one lens and the water is the plane z = 0. metrics.json says why,
+    metrics.json; and cameras.json where there is one camera and the water is the plane z = 0. metrics.json says why,
     where this fails. Raises OptionError, before anything is written, where the results would replace what was given.
     """
     require_apart(Path(options.alignment), folder)
     files = RunFolder(folder)
     with files.recording(command="adjust", source=str(Path(options.alignment).resolve())), _stage(files, "adjusting"):
         _remove_results(folder)
-        alignment = read_alignment(options.alignment)
+        scene = read_scene(options.alignment)
         truth = _truth(options)
-        survey = read_survey(options.survey, alignment.names) if options.survey else Survey.empty(alignment.names)
-        water = _water(options, alignment)
-        readjust_options: ReadjustOptions = options
+        names = scene.views.names
+        survey = read_survey(options.survey, names) if options.survey else Survey.empty(names)
+        scene = _with_water(scene, options)
+        how: ReadjustOptions = options
         if options.plane.offset == "find":
-            readjust_options = _with_varying_height(options)
-            offset = find_offset(alignment, water, survey, readjust_options, recorder)
-            water = replace(water, offset=torch.tensor([offset], dtype=torch.float64))
-        result = readjust(alignment, water, survey, readjust_options, recorder)
+            how = _with_varying_height(options)
+            scene = with_found_level(scene, survey, how, recorder)
+        everything, outcome = readjust(scene, survey, how, recorder)
         with recorder.meter(2, "evaluating", "") as advance:
-            files.metrics |= _summary(alignment, survey, result)
-            if truth is not None and len(result.water.offset) == 1:
-                files.metrics |= evaluate(_above_level_water(result), truth)[0]
+            adjusted = _finished(everything, len(scene.points))
+            files.metrics |= _summary(scene, adjusted, outcome) | _lost(everything, survey)
+            if truth is not None and len(adjusted.interfaces) == 1:
+                files.metrics |= evaluate(_above_level_water(adjusted), truth)[0]
             advance(1, "")
-            _write(result, folder, options.format == "binary")
+            _write(adjusted, folder, options.format == "binary")
             advance(1, "")
     return files.metrics
 
 
-def require_apart(alignment: Path, folder: Path) -> None:
-    """Raise OptionError where results in `folder` would replace the alignment, or a model that no run has written."""
-    place, into = alignment.resolve(), folder.resolve()
-    found = find_colmap(alignment)
+def require_apart(given: Path, folder: Path) -> None:
+    """Raise OptionError where results in `folder` would replace what is given, or a model that no run has written."""
+    place, into = given.resolve(), folder.resolve()
+    found = find_colmap(given)
     if into in (place, found and found[0].resolve()) or place == into / MODEL:
         raise OptionError(
             f"out is {folder}, where the alignment lies, but the one that was given must stay; name another folder"
@@ -96,15 +113,19 @@ def _truth(options: AdjustOptions) -> Truth | None:
     return truth
 
 
-def _water(options: AdjustOptions, alignment: Alignment) -> Water:
+def _with_water(scene: Scene, options: AdjustOptions) -> Scene:
+    """The scene behind the surfaces of a water.json, or behind the one plane of the options."""
     if options.water.path is not None:
-        water = read_water(options.water.path)
-        return water if options.index_ratio is None else replace(water, index_ratio=options.index_ratio)
-    ratio = FRESH_WATER if options.index_ratio is None else options.index_ratio
+        interfaces, rows = read_water(options.water.path, scene.views.names)
+        if options.index_ratio is not None:
+            interfaces = replace(interfaces, index_ratio=torch.full_like(interfaces.index_ratio, options.index_ratio))
+        return replace(scene, interfaces=interfaces, views=replace(scene.views, interface=rows))
     normal = torch.tensor(options.plane.normal, dtype=torch.float64)
     given = 0.0 if options.plane.offset == "find" else options.plane.offset
     offset = torch.tensor([given], dtype=torch.float64)
-    return Water(ratio, (normal / normal.norm())[None], offset / normal.norm(), length_unit=alignment.length_unit)
+    ratio = FRESH_WATER if options.index_ratio is None else options.index_ratio
+    interfaces = Interfaces((normal / normal.norm())[None], offset / normal.norm(), torch.full_like(offset, ratio))
+    return replace(scene, interfaces=interfaces)
 
 
 def _with_varying_height(options: AdjustOptions) -> AdjustOptions:
@@ -112,79 +133,77 @@ def _with_varying_height(options: AdjustOptions) -> AdjustOptions:
     return replace(options, bundle=replace(options.bundle, refine=tuple(refine)))
 
 
-def _summary(given: Alignment, survey: Survey, result: Readjusted) -> dict[str, Any]:
-    adjusted, known, unit = result.alignment, result.assessment, given.length_unit
+def _finished(scene: Scene, ties: int) -> Scene:
+    """Registered views and the points that stayed, without the ground control points, which are the last ones."""
+    tied = scene.accepted & (scene.observations.point < ties)
+    return replace(scene, accepted=tied).of_views(scene.views.registered).trimmed()
+
+
+def _summary(given: Scene, adjusted: Scene, outcome: Outcome) -> dict[str, Any]:
+    known, unit = adjusted.assessment, given.length_unit
+    row = {name: i for i, name in enumerate(given.views.names)}
+    shift = (adjusted.views.center - given.views.center[[row[name] for name in adjusted.views.names]]).norm(dim=-1)
+    assert outcome.report is not None
     metrics: dict[str, Any] = {
         "length_unit": unit,
-        "images": len(given),
-        "adjusted_images": len(adjusted),
+        "images": len(given.views),
+        "adjusted_images": len(adjusted.views),
         "points": len(adjusted.points),
-        "observations": len(adjusted.image),
+        "observations": len(adjusted.observations),
         "dropped_points": len(given.points) - len(adjusted.points),
-        "dropped_observations": len(given.image) - len(adjusted.image),
-        "points_not_triangulated": result.unplaced,
-        "reprojection_median_px": float(result.errors.median()),
-        "reprojection_median_before_px": float(result.errors_before.median()),
-        "index_ratio": result.water.index_ratio,
+        "dropped_observations": len(given.observations) - len(adjusted.observations),
+        "points_not_triangulated": outcome.numbers["not_triangulated"],
+        "reprojection_median_px": float(adjusted.errors().median()),
+        "reprojection_median_before_px": outcome.numbers["median_before"],
+        "index_ratio": adjusted.index_ratio,
         "index_ratio_sigma": known.index_ratio_sigma,
-        f"camera_shift_median_{unit}": float(result.shift.median()),
-        f"camera_shift_max_{unit}": float(result.shift.max()),
+        f"camera_shift_median_{unit}": float(shift.median()),
+        f"camera_shift_max_{unit}": float(shift.max()),
         "pixel_sigma_px": known.pixel_sigma,
         "determined": list(known.determined),
-        "held": dict(known.held),
-        "adjustment": result.status,
+        "held": dict(known.fixed),
+        "adjustment": outcome.report.status,
     }
     if known.point_sigma is not None:
         metrics[f"point_sigma_median_{unit}"] = float(known.point_sigma.median())
-    told = {
-        "marks": result.marks,
-        "lost_marks": [*result.lost_marks, *survey.skipped_marks],
-        "lost_images": list(result.lost_images),
+    return metrics
+
+
+def _lost(scene: Scene, survey: Survey) -> dict[str, Any]:
+    """Where the ground control points are, and what did not fit the rest."""
+    count = len(survey.control_names)
+    ties = len(scene.points) - count
+    control = zip(survey.control_names, scene.points[ties:].tolist(), scene.placed[ties:].tolist(), strict=True)
+    control = list(control)
+    views = zip(scene.views.names, scene.views.registered.tolist(), strict=True)
+    found = {
+        "marks": {name: position for name, position, placed in control if placed},
+        "lost_marks": [*(name for name, _, placed in control if not placed), *survey.skipped_controls],
+        "lost_images": [name for name, registered in views if not registered],
         "images_only_in_survey": list(survey.skipped),
     }
-    return metrics | {name: value for name, value in told.items() if value}
+    return {name: value for name, value in found.items() if value}
 
 
-def _write(result: Readjusted, folder: Path, binary: bool) -> None:
-    alignment, water = result.alignment, result.water
-    write_colmap(alignment, folder / MODEL, binary, result.point_errors())
-    write_water(water, folder / WATER)
-    write_points(alignment.points, alignment.colors, folder / "points.ply", result.assessment.point_sigma)
-    write_tracks(alignment, folder / TRACKS)
-    if len(alignment.lenses) == 1 and water.normal.tolist() == [LEVEL] and water.offset.tolist() == [0.0]:
-        write_cameras(_reconstruction(result), folder / "cameras.json")
+def _write(scene: Scene, folder: Path, binary: bool) -> None:
+    write_colmap(scene, folder / MODEL, binary, _point_errors(scene))
+    write_water(scene, folder / WATER)
+    write_points(scene.points, scene.colors, folder / "points.ply", scene.assessment.point_sigma)
+    write_tracks(scene, folder / TRACKS)
+    if len(scene.cameras) == 1 and scene.interfaces.is_level:
+        write_cameras(scene, folder / "cameras.json")
 
 
-def _reconstruction(result: Readjusted) -> Reconstruction:
-    alignment = result.alignment
-    return Reconstruction(
-        names=alignment.names,
-        registered=torch.ones(len(alignment), dtype=torch.bool),
-        rotation=alignment.rotation,
-        center=alignment.center,
-        intrinsics=alignment.lenses[0],
-        index_ratio=result.water.index_ratio,
-        length_unit=alignment.length_unit,
-        points=alignment.points,
-        colors=alignment.colors,
-        image=alignment.image,
-        point=alignment.point,
-        pixels=alignment.pixels,
-    )
+def _point_errors(scene: Scene) -> Float[Tensor, " n"]:
+    """Mean reprojection error of each point, pixels."""
+    point, n = scene.observations.point, len(scene.points)
+    return segment_sum(scene.errors()[:, None], point, n)[:, 0] / torch.bincount(point, minlength=n)
 
 
-def _above_level_water(result: Readjusted) -> Reconstruction:
-    """In a frame in which its one water surface is z = 0, as it is in that of the truth; reprojection is then that of
-    the first lens."""
-    normal, offset = result.water.normal[0], result.water.offset[0]
-    across, along = Plane(normal, offset, check=False).tangents_like(normal)
-    level = Similarity(
-        torch.ones_like(offset), torch.stack((across, along, normal)), -offset * normal.new_tensor(LEVEL)
-    )
-    plain = _reconstruction(result)
-    return replace(
-        plain,
-        rotation=level.apply_to_rotation(plain.rotation),
-        center=level.apply(plain.center),
-        points=level.apply(plain.points),
-    )
+def _above_level_water(scene: Scene) -> Scene:
+    """In a frame in which its one water surface is z = 0, as it is in that of the truth."""
+    normal, offset = scene.interfaces.normal[0], scene.interfaces.offset[0]
+    across, along = (tangent[0] for tangent in scene.interfaces.planes.tangents_like(normal))
+    up = normal.new_tensor((0.0, 0.0, 1.0))
+    level = Similarity(torch.ones_like(offset), torch.stack((across, along, normal)), -offset * up)
+    return replace(transformed(scene, level), interfaces=Interfaces.level(scene.index_ratio))

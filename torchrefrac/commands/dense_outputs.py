@@ -14,12 +14,12 @@ from torchrefrac.files.mesh import height_field_mesh, write_mesh
 from torchrefrac.files.raster import write_geotiff, write_raster
 from torchrefrac.files.run import DENSE_CLOUD, DENSE_RESULTS, DEPTH_MAPS
 from torchrefrac.recorder import Recorder
-from torchrefrac.scene import DenseCloud, Raster, Reconstruction
+from torchrefrac.scene import DenseCloud, Raster, Scene
 
 
 def write_dense_outputs(
     dense: Dense,
-    reconstruction: Reconstruction,
+    scene: Scene,
     options: DenseOptions,
     outputs: DenseOutputs,
     recorder: Recorder,
@@ -34,7 +34,7 @@ def write_dense_outputs(
             advance(1, "")
             _write_surface(raster, outputs, folder)
     if outputs.depth_maps:
-        _write_depth_maps(dense, reconstruction, options, recorder, folder / DEPTH_MAPS)
+        _write_depth_maps(dense, scene, options, recorder, folder / DEPTH_MAPS)
 
 
 def remove_dense_outputs(folder: Path) -> None:
@@ -80,10 +80,8 @@ def _write_surface(raster: Raster, outputs: DenseOutputs, folder: Path) -> None:
         write_mesh(height_field_mesh(raster), folder / "mesh.ply")
 
 
-def _write_depth_maps(
-    dense: Dense, reconstruction: Reconstruction, options: DenseOptions, recorder: Recorder, folder: Path
-) -> None:
-    stems, count = depth_map_stems(reconstruction.names), int(reconstruction.registered.sum())
-    for found in recorder.track(depth_maps(dense, reconstruction, options), count, "depth maps", "image"):
+def _write_depth_maps(dense: Dense, scene: Scene, options: DenseOptions, recorder: Recorder, folder: Path) -> None:
+    stems, count = depth_map_stems(scene.views.names), scene.views.num_registered
+    for found in recorder.track(depth_maps(dense, scene, options), count, "depth maps", "image"):
         write_depth_map(found, folder / f"{stems[found.name]}_depth.npz")
         draw_depth_map(found, folder / f"{stems[found.name]}_depth.png")

@@ -1,11 +1,11 @@
 """The dense stage: after a reconstruction, or on the folder that one has left behind."""
 
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.commands.dense_outputs import remove_if_empty, write_dense_outputs
@@ -17,16 +17,14 @@ from torchrefrac.dense.patches import Patches
 from torchrefrac.evaluate.dense_metrics import evaluate_dense, summarize_dense, textured_points
 from torchrefrac.evaluate.metrics import evaluate
 from torchrefrac.figures.dense import dense_view, draw_dense_views, draw_error_map, error_panel
-from torchrefrac.files.cameras import load_cameras
 from torchrefrac.files.capture import load_capture, read_grey
-from torchrefrac.files.fields import alignment_errors, read_object
 from torchrefrac.files.run import DENSE_VIEW, DEPTH_MAPS, ERROR_MAP, PARTS
 from torchrefrac.files.tracks import CAMERAS, read_run
 from torchrefrac.files.truth import load_truth
 from torchrefrac.files.truth_points import load_truth_points
 from torchrefrac.geometry import Similarity
 from torchrefrac.recorder import Recorder
-from torchrefrac.scene import AlignmentError, Capture, CaptureError, DenseCloud, Reconstruction, Truth
+from torchrefrac.scene import Capture, CaptureError, DenseCloud, Scene, SceneError, Truth
 
 
 class SparseRun(NamedTuple):
@@ -34,7 +32,7 @@ class SparseRun(NamedTuple):
 
     folder: Path
     capture: Capture
-    reconstruction: Reconstruction
+    scene: Scene
 
 
 def densify_run(run: SparseRun, options: DensifyOptions, recorder: Recorder) -> dict[str, Any]:
@@ -46,15 +44,15 @@ def densify_run(run: SparseRun, options: DensifyOptions, recorder: Recorder) -> 
     files = RunFolder(run.folder)
     with files.recording_dense():
         truth = load_truth(run.capture.folder)
-        aligned = None if truth is None else evaluate(run.reconstruction, truth)[1]
-        dense_stage(files, run.capture, run.reconstruction, options.dense, options.outputs, truth, aligned, recorder)
+        aligned = None if truth is None else evaluate(run.scene, truth)[1]
+        dense_stage(files, run.capture, run.scene, options.dense, options.outputs, truth, aligned, recorder)
     return files.metrics
 
 
 def dense_stage(
     files: RunFolder,
     capture: Capture,
-    reconstruction: Reconstruction,
+    scene: Scene,
     options: DenseOptions,
     outputs: DenseOutputs,
     truth: Truth | None,
@@ -68,9 +66,9 @@ def dense_stage(
     """
     folder = files.folder
     files.save_metrics()
-    parts = FolderStore(folder / PARTS, capture, reconstruction, options)
+    parts = FolderStore(folder / PARTS, scene, capture, options)
     store, start = _CountingStore(parts), time.perf_counter()
-    dense = densify(capture, reconstruction, options, recorder, store)
+    dense = densify(scene, capture, options, recorder, store)
     seconds = time.perf_counter() - start
     cloud = dense.cloud
     if not len(cloud):
@@ -84,9 +82,9 @@ def dense_stage(
             seen = _points_to_be_found(capture)
             files.metrics |= evaluate_dense(cloud, truth, aligned, seen)
             advance(1, "")
-    write_dense_outputs(dense, reconstruction, options, outputs, recorder, folder)
+    write_dense_outputs(dense, scene, options, outputs, recorder, folder)
     with recorder.meter(1, "drawing", "") as advance:
-        _draw(files, cloud, reconstruction, truth, aligned)
+        _draw(files, cloud, scene, truth, aligned)
         advance(1, "")
     files.stage_done(DENSE, dense, seconds)
     parts.clear()
@@ -97,32 +95,29 @@ def dense_stage(
 def open_run(folder: Path, capture: str | None = None) -> SparseRun:
     """Read the sparse model of a run, and its photographs from where metrics.json says, or from the folder `capture`.
 
-    Changes nothing. Raises OptionError, AlignmentError or CaptureError, with what is missing, where one of them is not
+    Changes nothing. Raises OptionError, SceneError or CaptureError, with what is missing, where one of them is not
     there or they do not belong together.
     """
     if not folder.is_dir():
         raise OptionError(f"run is {folder}, which is no folder; name one that a run has left behind")
     if not (folder / CAMERAS).is_file():
-        raise AlignmentError(
+        raise SceneError(
             f"{folder} holds no {CAMERAS}, so there is no sparse model to begin with: run `torchrefrac` first (after "
             "`torchrefrac adjust` there is one where the water is the plane z = 0 and the images share one lens)"
         )
-    sparse = _sparse_model(folder)
+    scene = read_run(folder)
     photographs = load_capture(_capture_folder(folder, capture))
-    _require_same_size(photographs, sparse, folder)
-    lost = [
-        name
-        for name, has_pose in zip(sparse.names, sparse.registered.tolist(), strict=True)
-        if has_pose and name not in photographs.names
-    ]
+    _require_same_size(photographs, scene, folder)
+    row = {name: i for i, name in enumerate(photographs.names)}
+    views = list(zip(scene.views.names, scene.views.registered.tolist(), strict=True))
+    lost = [name for name, registered in views if registered and name not in row]
     if lost:
         raise CaptureError(
             f"{photographs.folder / 'capture.json'} does not list {', '.join(lost)}, whose pose is in "
             f"{folder / CAMERAS}; take both from the same photographs"
         )
-    sparse = _of_images(sparse, tuple(name for name in sparse.names if name in photographs.names))
-    rows = torch.tensor([photographs.names.index(name) for name in sparse.names])
-    return SparseRun(folder, _captured(photographs, rows), sparse)
+    scene = scene.of_views(torch.tensor([name in row for name, _ in views]))
+    return SparseRun(folder, photographs.of_views([row[name] for name in scene.views.names]), scene)
 
 
 class _CountingStore:
@@ -152,18 +147,16 @@ class _CountingStore:
         return found
 
 
-def _draw(
-    files: RunFolder, cloud: DenseCloud, reconstruction: Reconstruction, truth: Truth | None, aligned: Similarity | None
-) -> None:
+def _draw(files: RunFolder, cloud: DenseCloud, scene: Scene, truth: Truth | None, aligned: Similarity | None) -> None:
     metrics = files.metrics
-    model = metrics.get("model", "refractive" if reconstruction.index_ratio > 1.0 else "none")
-    view = dense_view(model, cloud, reconstruction, aligned, metrics)
+    model = metrics.get("model", "refractive" if scene.index_ratio > 1.0 else "none")
+    view = dense_view(model, cloud, scene, aligned, metrics)
     draw_dense_views([view], truth if aligned is not None else None, files.folder / DENSE_VIEW)
     if truth is not None and aligned is not None and len(truth.corner):
         draw_error_map([error_panel(model, cloud, aligned, truth, metrics)], truth, files.folder / ERROR_MAP)
 
 
-def _points_to_be_found(capture: Capture) -> Tensor | None:
+def _points_to_be_found(capture: Capture) -> Float[Tensor, "n 3"] | None:
     """True points that the photographs show well; None where nobody knows them."""
     known = load_truth_points(capture.folder, capture.names)
     if known is None:
@@ -173,20 +166,6 @@ def _points_to_be_found(capture: Capture) -> Tensor | None:
         return textured_points(known, [torch.from_numpy(read_grey(paths[name])) for name in known.names])
     except ValueError as error:
         raise CaptureError(f"{capture.folder / 'truth_points.npz'}: {error}") from None
-
-
-def _sparse_model(folder: Path) -> Reconstruction:
-    """All images of cameras.json and the tie points of tracks.npz, as the run had them."""
-    tie = read_run(folder)
-    with alignment_errors():
-        _, top = read_object(folder / CAMERAS)
-        if top.number("index_ratio") < 1.0:
-            raise top.fail("index_ratio", f"is {top.number('index_ratio'):g}, but must be at least 1")
-    cameras = load_cameras(folder / CAMERAS)
-    rows = torch.tensor([cameras.names.index(name) for name in tie.names], dtype=torch.long)
-    return replace(
-        cameras, points=tie.points, colors=tie.colors, image=rows[tie.image], point=tie.point, pixels=tie.pixels
-    )
 
 
 def _capture_folder(folder: Path, given: str | None) -> Path:
@@ -205,39 +184,9 @@ def _capture_folder(folder: Path, given: str | None) -> Path:
     return known
 
 
-def _require_same_size(capture: Capture, sparse: Reconstruction, folder: Path) -> None:
-    found, wanted = (f"{lens.width}x{lens.height}" for lens in (capture.intrinsics, sparse.intrinsics))
+def _require_same_size(capture: Capture, scene: Scene, folder: Path) -> None:
+    found, wanted = (f"{camera.width}x{camera.height}" for camera in (capture.intrinsics, scene.intrinsics))
     if found != wanted:
         raise CaptureError(
             f"the photographs in {capture.folder} are {found}, but those of {folder} were {wanted}; give those"
         )
-
-
-def _of_images(sparse: Reconstruction, names: tuple[str, ...]) -> Reconstruction:
-    """Without the images that are not among `names`, none of which has a pose."""
-    if names == sparse.names:
-        return sparse
-    rows = torch.tensor([sparse.names.index(name) for name in names])
-    place = torch.full((len(sparse.names),), -1)
-    place[rows] = torch.arange(len(rows))
-    return replace(
-        sparse,
-        names=names,
-        registered=sparse.registered[rows],
-        rotation=sparse.rotation[rows],
-        center=sparse.center[rows],
-        image=place[sparse.image],
-    )
-
-
-def _captured(capture: Capture, rows: Tensor) -> Capture:
-    """Some of the photographs, in this order."""
-    chosen = rows.tolist()
-    return replace(
-        capture,
-        names=tuple(capture.names[i] for i in chosen),
-        paths=tuple(capture.paths[i] for i in chosen),
-        down_in_cam=capture.down_in_cam[rows],
-        height=capture.height[rows],
-        has_height=capture.has_height[rows],
-    )

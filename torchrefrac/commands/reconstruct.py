@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from torchrefrac.bundle.rows import LENS
+from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.run_folder import RunFolder, describe_gravity
@@ -20,7 +20,7 @@ from torchrefrac.features import Features, PairMatches, build_tracks, extract_si
 from torchrefrac.figures.matches import record_matches, record_residuals
 from torchrefrac.files.truth import load_truth
 from torchrefrac.recorder import Recorder, SilentRecorder
-from torchrefrac.scene import Capture, Reconstruction
+from torchrefrac.scene import Capture, Scene
 from torchrefrac.sfm import (
     PinholeInitializer,
     PoseInitializer,
@@ -45,12 +45,12 @@ def reconstruct(
     options: Options | None = None,
     recorder: Recorder | None = None,
     on_stage: StageHook | None = None,
-) -> Reconstruction:
+) -> Scene:
     """Reconstruct cameras and sparse points of a capture.
 
     `on_stage(name, product, seconds)` hears of every finished stage: "features" (list of Features), "levelling" (the
     capture with estimated verticals; only where gravity is unknown and refraction can show it), "matching" (list of
-    VerifiedPair), "sparse" (Reconstruction). Deterministic for given options. Raises ReconstructionError when no two
+    VerifiedPair), "sparse" (Scene). Deterministic for given options. Raises ReconstructionError when no two
     images can be related, or no pair shows which way is down.
     """
     options = options or Options()
@@ -67,14 +67,12 @@ def reconstruct(
     initializer, sfm = _initializer(capture, ratio, options, recorder)
     pairs = stage("matching", lambda: _verify(matches, features, initializer, options, generator, recorder))
     record_matches(capture, features, pairs, recorder)
-    tracks = build_tracks(features, [pair.pair for pair in pairs])
-    recorder.scalar("tracks/count", tracks.num_tracks, 0)
-    recorder.scalar("tracks/observations", len(tracks.track), 0)
-    recorder.histogram("tracks/length", torch.bincount(tracks.track), 0)
-    return stage(
-        "sparse",
-        lambda: reconstruct_sparse(capture, tracks, pairs, initializer, sfm, generator, recorder),
-    )
+    observations, colors = build_tracks(features, [pair.pair for pair in pairs])
+    recorder.scalar("tracks/count", len(colors), 0)
+    recorder.scalar("tracks/observations", len(observations), 0)
+    recorder.histogram("tracks/length", torch.bincount(observations.point), 0)
+    scene = Scene.of_capture(capture, observations, colors, initializer.index_ratio)
+    return stage("sparse", lambda: reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder))
 
 
 def run(
@@ -89,21 +87,21 @@ def run(
     files = RunFolder(folder)
     told = {"model": options.model.name, "capture": str(capture.folder.resolve())} | dict(about or {})
     with files.recording(**told, **describe_gravity(capture)):
-        reconstruction = reconstruct(capture, options, recorder, files.stage_done)
+        scene = reconstruct(capture, options, recorder, files.stage_done)
         with recorder.meter(3, "evaluating", "") as advance:
-            metrics = summarize(reconstruction)
+            metrics = summarize(scene)
             advance(1, "")
             truth = load_truth(capture.folder)
             aligned = None
             if truth is not None:
-                measured, aligned = evaluate(reconstruction, truth)
+                measured, aligned = evaluate(scene, truth)
                 metrics |= measured
             advance(1, "")
-            files.complete(reconstruction, metrics, truth, aligned)
-            record_residuals(capture, reconstruction, recorder)
+            files.complete(scene, metrics, truth, aligned)
+            record_residuals(capture, scene, recorder)
             advance(1, "")
         if options.dense.method != "none":
-            dense_stage(files, capture, reconstruction, options.dense, options.outputs, truth, aligned, recorder)
+            dense_stage(files, capture, scene, options.dense, options.outputs, truth, aligned, recorder)
     return files.metrics
 
 
@@ -137,16 +135,16 @@ def _initializer(
     """
     sfm = options.sfm
     if options.model.name != "refractive" or ratio == 1.0:
-        lens = tuple(name for name in sfm.bundle.refine if name in LENS)
-        if options.model.name == "radial" and "distortion" not in lens:
-            lens = (*(name for name in lens if name != "radial"), "radial")
-        sfm = replace(sfm, bundle=replace(sfm.bundle, refine=lens))
+        refine = tuple(name for name in sfm.bundle.refine if name in INTRINSICS)
+        if options.model.name == "radial" and "distortion" not in refine:
+            refine = (*(name for name in refine if name != "radial"), "radial")
+        sfm = replace(sfm, bundle=replace(sfm.bundle, refine=refine))
     if options.model.name != "refractive":
         return PinholeInitializer(capture, sfm), sfm
     if ratio == 1.0:
         recorder.note("index ratio 1: there is no refraction to see the water by, so poses are those of a pinhole")
         return PinholeInitializer(capture, sfm), sfm
-    return RefractiveInitializer(capture, torch.tensor(ratio, dtype=torch.float64), sfm), sfm
+    return RefractiveInitializer(capture, ratio, sfm), sfm
 
 
 def _extract(capture: Capture, options: Options, recorder: Recorder) -> list[Features]:

@@ -18,7 +18,7 @@ from torchrefrac.files.run import METRICS, RunRecord
 from torchrefrac.files.tracks import write_tracks
 from torchrefrac.geometry import Similarity
 from torchrefrac.record.memory import forget_peak_memory, peak_memory_gib
-from torchrefrac.scene import Capture, Reconstruction, Truth
+from torchrefrac.scene import Capture, Scene, Truth
 from torchrefrac.sfm import VerifiedPair
 
 RESULTS = (
@@ -85,16 +85,16 @@ class RunFolder:
 
     def complete(
         self,
-        reconstruction: Reconstruction,
+        scene: Scene,
         metrics: dict[str, Any],
         truth: Truth | None,
         aligned: Similarity | None,
     ) -> None:
         """Take in the metrics and draw the figure."""
         self.metrics |= metrics
-        if reconstruction.failures:
-            self.metrics["not_registered"] = dict(reconstruction.failures)
-        view = side_view(self.metrics["model"], reconstruction, aligned, self.metrics)
+        if scene.failures:
+            self.metrics["not_registered"] = dict(scene.failures)
+        view = side_view(self.metrics["model"], scene, aligned, self.metrics)
         draw_side_views([view], truth if aligned is not None else None, self.folder / "side_view.png")
 
     @contextmanager

@@ -11,8 +11,7 @@ from torchrefrac.dense import DenseOptions
 from torchrefrac.features import MatchOptions, SiftOptions
 from torchrefrac.files.capture import MAX_INDEX_RATIO
 from torchrefrac.refraction import water_index
-from torchrefrac.sfm import SfmOptions
-from torchrefrac.sfm.readjust import ReadjustOptions
+from torchrefrac.sfm import ReadjustOptions, SfmOptions
 from torchrefrac.synthetic.options import SyntheticOptions
 
 ModelName = Literal["none", "radial", "refractive"]

@@ -38,7 +38,7 @@ def densify(
     """Dense points of the surfaces that the registered views show, whose photographs are those of `capture`.
 
     The scene must have its points and observations: they say where to look. Textureless areas stay empty.
-    Deterministic. `store` keeps finished views. Raises DenseError when no two views can be compared, or there are
+    Deterministic. Finished views go to `store`. Raises DenseError when no two views can be compared, or there are
     several cameras or interfaces, CaptureError for an image or a mask that is missing or has another size, ValueError
     for the method none.
     """

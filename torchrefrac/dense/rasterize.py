@@ -23,7 +23,7 @@ def rasterize(cloud: DenseCloud, cell_size: float | None = None) -> Raster:
     well supported is one with at least two points and a quarter of those of the best supported one of the cell (where
     no two points of a cell lie together, the points of the eight cells around it count too). The cell's sigma is the
     larger of what the sigmas and what the scatter of these points say. A hole with at least five of eight neighbours is
-    the mean of opposite neighbours, exact where the surface is plane, and marked `filled`; its sigma holds half their
+    the mean of opposite neighbours, exact where the surface is plane, and marked `filled`; its sigma counts half their
     difference. Edges of cells lie at multiples of cell_size. Left out are points and sigmas that are not finite, and
     points far outside of where nearly all lie: beyond the range of the middle 98 %, by more than twice that range.
 
@@ -59,7 +59,7 @@ def point_spacing(points: Float[Tensor, "n 3"]) -> float:
     """The typical horizontal spacing of points: the side of the square that each has to itself.
 
     From the median distance d to the eighth nearest neighbour, of at most 20,000 of the points: the circle of radius d
-    holds eight, whether they lie on a grid or by chance. Zero where there are no two points apart.
+    has eight in it, whether they lie on a grid or by chance. Zero where there are no two points apart.
     """
     from scipy.spatial import KDTree  # noqa: PLC0415 - slow to import
 

@@ -59,7 +59,7 @@ class PixelRays(NamedTuple):
         here = ((points - self.entry) * self.before).sum(dim=-1)
         return torch.where((beyond < 0) | (here < 0), here.clamp(max=0.0), beyond)
 
-    def __getitem__(self, index: Any) -> "PixelRays":
+    def __getitem__(self, index: Any) -> "PixelRays":  # type: ignore[override]
         """Some of them, as one indexes a tensor (*batch)."""
         origin = self.origin[index]
         entry = origin if self.entry is self.origin else self.entry[index]

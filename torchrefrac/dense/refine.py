@@ -28,7 +28,7 @@ class Planes(NamedTuple):
     points: Float[Tensor, "n 3"]
     normals: Float[Tensor, "n 3"]
 
-    def __getitem__(self, rows: Any) -> "Planes":
+    def __getitem__(self, rows: Any) -> "Planes":  # type: ignore[override]
         """Some of them, as one indexes a tensor."""
         return Planes(self.points[rows], self.normals[rows])
 

@@ -45,7 +45,7 @@ def upper_surface(
     positive = sigma[sigma > 0.0]
     floor = SHARPEST * float(positive.median()) if len(positive) else 1.0
     weight = sigma.clamp(min=floor) ** -2
-    chosen = torch.zeros_like(weight, dtype=torch.bool)
+    chosen, total = torch.zeros_like(weight, dtype=torch.bool), torch.zeros_like(level)
     for _ in range(ROUNDS):  # from the top of the surface to its middle
         near = (z - level[segment]).abs() <= thickness
         is_empty = segment_sum(near.long(), segment, len(occupied)) == 0

@@ -126,7 +126,7 @@ def _residuals(scene: Scene) -> tuple[Int[Tensor, " k"], Float[Tensor, "k 2"]]:
     return rows, projected[rows] - scene.observations.pixels[rows]
 
 
-def _narrow(photograph: UInt8[np.ndarray, "h w 3"], width: int) -> UInt8[np.ndarray, "height {width} 3"]:
+def _narrow(photograph: UInt8[np.ndarray, "h w 3"], width: int) -> UInt8[np.ndarray, "height width 3"]:
     """RGB of the photograph, BGR, `width` wide."""
     height = round(photograph.shape[0] * width / photograph.shape[1])
     method = cv2.INTER_AREA if width < photograph.shape[1] else cv2.INTER_LINEAR

@@ -1,10 +1,10 @@
 """Pages from templates: what is inserted is escaped, and the style is part of the page."""
 
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from torchrefrac import __version__
 from torchrefrac.atomic import replacing
 
 
@@ -16,9 +16,7 @@ def write_page(template: str, path: Path, **content: Any) -> None:
     environment = Environment(
         loader=FunctionLoader(_read), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    page = environment.get_template(template).render(
-        style=Markup(_read("style.css")), version=version("torchrefrac"), **content
-    )
+    page = environment.get_template(template).render(style=Markup(_read("style.css")), version=__version__, **content)
     with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 

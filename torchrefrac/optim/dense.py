@@ -1,14 +1,15 @@
 """The reduced system solved by a dense Cholesky factorisation: to the last weak mode, up to some thousand unknowns."""
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.optim.elimination import Elimination
 from torchrefrac.optim.normal_equations import NormalEquations
 
 
-def solve_dense(elimination: Elimination) -> tuple[Tensor, Tensor]:
-    """Step (size) of the damped reduced system, and whether there is one; zero where there is not.
+def solve_dense(elimination: Elimination) -> tuple[Float[Tensor, " size"], Bool[Tensor, ""]]:
+    """Step of the damped reduced system, and whether there is one; zero where there is not.
 
     Unknowns that nothing depends on stand still.
     """
@@ -23,11 +24,13 @@ def solve_dense(elimination: Elimination) -> tuple[Tensor, Tensor]:
     return torch.where(solved, solution, 0.0), solved
 
 
-def prepare(matrix: Tensor, system: NormalEquations) -> tuple[Tensor, Tensor]:
+def prepare(
+    matrix: Float[Tensor, "size size"], system: NormalEquations
+) -> tuple[Float[Tensor, " size"], Float[Tensor, ""]]:
     """Make a reduced matrix of `system` one that has a Cholesky factor, in place: S A S with a unit diagonal.
 
     Unknowns that nothing depends on get the diagonal 1; directions of the null space are made as stiff as the unknowns
-    are that they move. Returns S (size) and that stiffness.
+    are that they move. Returns S and that stiffness.
     """
     diagonal = matrix.diagonal()
     diagonal.copy_(torch.where(system.dead, 1.0, diagonal))

@@ -3,12 +3,14 @@
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.optim.dense import prepare
 from torchrefrac.optim.elimination import Elimination
-from torchrefrac.optim.normal_equations import NEGLIGIBLE, NormalEquations
+from torchrefrac.optim.normal_equations import DIAGONAL, NEGLIGIBLE, NormalEquations
+from torchrefrac.optim.plan import ELIMINATED_SIZE
 
 ROUNDING = 0.1  # of a zero eigenvalue, in units of the size of the matrix and the precision
 
@@ -19,21 +21,21 @@ class SingularError(TorchrefracError, ArithmeticError):
 
 @dataclass(frozen=True)
 class GaussNewtonInverse:
-    """Of all unknowns: the reduced ones (size), then the points (n, 3), flattened. Symmetric.
+    """Of all unknowns: the reduced ones, then the eliminated blocks one after another. Symmetric.
 
     Directions of the null space are as stiff as `gauge_times` says; unknowns that nothing depends on stand still.
     """
 
     elimination: Elimination
-    factor: Tensor
-    scale: Tensor
-    stiffness: Tensor
-    dead: Tensor
+    factor: Float[Tensor, "size size"]
+    scale: Float[Tensor, " size"]
+    stiffness: Float[Tensor, ""]
+    dead: Bool[Tensor, " size"]
 
     @classmethod
     def of(cls, system: NormalEquations) -> "GaussNewtonInverse":
         """Factorise undamped. Raises SingularError where the system is singular beyond its null space."""
-        if system.null_space is not None:  # as the unknowns that something depends on see it
+        if system.null_space is not None:  # restricted to the unknowns that something depends on
             moving = torch.where(system.dead[:, None], 0.0, system.null_space)
             system = replace(system, null_space=torch.linalg.qr(moving).Q)
         elimination = Elimination(system, 0.0)
@@ -44,29 +46,32 @@ class GaussNewtonInverse:
             raise SingularError("the normal equations are singular")
         return cls(elimination, factor, scale, stiffness, system.dead)
 
-    def __call__(self, vector: Tensor) -> Tensor:
-        """The inverse times a vector (size + 3 n)."""
+    def __call__(self, vector: Float[Tensor, " unknowns"]) -> Float[Tensor, " unknowns"]:
+        """The inverse times a vector."""
         plan = self.elimination.system.plan
-        right, by_point = torch.where(self.dead, 0.0, vector[: plan.size]), vector[plan.size :].view(-1, 3)
-        points = vector.new_zeros(3, plan.num_places)
-        points[:, plan.place_of_point] = by_point.T
-        points *= (self.elimination.system.point_hessian[[0, 2, 5]] > NEGLIGIBLE).any(dim=0)
-        reduced = right - self.elimination.along_cameras(self.elimination.times_inverse(points))
-        kept = torch.cholesky_solve((reduced * self.scale)[:, None], self.factor)[:, 0] * self.scale
-        kept = torch.where(self.dead, 0.0, kept)
-        points = self.elimination.times_inverse(points - self.elimination.along_points(kept))
-        return torch.cat((kept, points[:, plan.place_of_point].T.flatten()))
+        right, by_eliminated = (
+            torch.where(self.dead, 0.0, vector[: plan.size]),
+            vector[plan.size :].view(-1, ELIMINATED_SIZE),
+        )
+        places = vector.new_zeros(ELIMINATED_SIZE, plan.num_places)
+        places[:, plan.place_of] = by_eliminated.T
+        places *= (self.elimination.system.eliminated_hessian[DIAGONAL] > NEGLIGIBLE).any(dim=0)
+        right = right - self.elimination.to_reduced(self.elimination.times_inverse(places))
+        reduced = torch.cholesky_solve((right * self.scale)[:, None], self.factor)[:, 0] * self.scale
+        reduced = torch.where(self.dead, 0.0, reduced)
+        places = self.elimination.times_inverse(places - self.elimination.to_eliminated(reduced))
+        return torch.cat((reduced, places[:, plan.place_of].T.flatten()))
 
-    def gauge_times(self, vector: Tensor) -> Tensor:
-        """The stiffness added along the null space, times a vector (size + 3 n)."""
+    def gauge_times(self, vector: Float[Tensor, " unknowns"]) -> Float[Tensor, " unknowns"]:
+        """The stiffness added along the null space, times a vector."""
         system = self.elimination.system
         if system.null_space is None:
             return torch.zeros_like(vector)
-        kept = system.null_space @ (self.stiffness * (system.null_space.T @ vector[: system.plan.size]))
-        return torch.nn.functional.pad(kept, (0, len(vector) - len(kept)))
+        reduced = system.null_space @ (self.stiffness * (system.null_space.T @ vector[: system.plan.size]))
+        return torch.nn.functional.pad(reduced, (0, len(vector) - len(reduced)))
 
 
-def _smallest_eigenvalue(factor: Tensor) -> float:
+def _smallest_eigenvalue(factor: Float[Tensor, "size size"]) -> float:
     """Of L L^T, by inverse iteration. A small pivot need not betray it."""
     vector = torch.arange(len(factor), dtype=factor.dtype, device=factor.device).cos()[:, None]
     for _ in range(3):

@@ -1,20 +1,21 @@
-"""The reduced system solved by conjugate gradients, without forming it: for thousands of cameras.
+"""The reduced system solved by conjugate gradients, without forming it: for many reduced blocks.
 
 The preconditioner is the reduced system's own block diagonal (Schur-Jacobi), and beside it a coarse correction: the
-system restricted to a few directions in which all cameras move together. Refraction leaves such directions weak - the
-cameras can rise, tilt and bend with the scene at next to no cost - and block by block they converge very slowly.
+system restricted to a few directions in which all blocks move together. Where such directions are weak - everything can
+move in them at next to no cost - they converge very slowly block by block.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.optim.elimination import Elimination
-from torchrefrac.optim.plan import CAMERA_SIZE
+from torchrefrac.optim.plan import REDUCED_SIZE
 
-Operator = Callable[[Tensor], Tensor]
+Operator = Callable[[Float[Tensor, " size"]], Float[Tensor, " size"]]
 
 
 @dataclass(frozen=True)
@@ -26,21 +27,21 @@ class IterativeOptions:
 
 
 def solve_iteratively(
-    elimination: Elimination, coarse: Tensor | None, options: IterativeOptions
-) -> tuple[Tensor, Tensor]:
-    """Step (size) of the damped reduced system, and whether there is one; zero where there is not.
+    elimination: Elimination, coarse: Float[Tensor, "size directions"] | None, options: IterativeOptions
+) -> tuple[Float[Tensor, " size"], Bool[Tensor, ""]]:
+    """Step of the damped reduced system, and whether there is one; zero where there is not.
 
-    coarse (size, c): directions taken exactly. A search that ends early, for want of iterations or because the system
+    coarse: directions taken exactly. A search that ends early, for want of iterations or because the system
     turns out not to be positive definite, has a step that lowers the quadratic model, if only a part of the way.
     """
     system, damping = elimination.system, elimination.damping
     lift = torch.where(system.dead, 1.0, damping * system.diagonal)
 
-    def times(x: Tensor) -> Tensor:
-        eliminated = elimination.along_cameras(elimination.times_inverse(elimination.along_points(x)))
+    def times(x: Float[Tensor, " size"]) -> Float[Tensor, " size"]:
+        eliminated = elimination.to_reduced(elimination.times_inverse(elimination.to_eliminated(x)))
         return system.apply(x) + lift * x - eliminated
 
-    right = elimination.along_cameras(elimination.times_inverse(system.point_gradient)) - system.gradient
+    right = elimination.to_reduced(elimination.times_inverse(system.eliminated_gradient)) - system.gradient
     precondition = _preconditioner(elimination, lift, coarse, times)
     x = conjugate_gradients(times, precondition, right, options.tolerance, options.max_iterations)
     solved = x.isfinite().all() & (x.any() | ~right.any())
@@ -48,9 +49,9 @@ def solve_iteratively(
 
 
 def conjugate_gradients(
-    times: Operator, precondition: Operator, right: Tensor, tolerance: float, max_iterations: int
-) -> Tensor:
-    """x with A x = right (size), or as near as it came: the search ends when the residual has fallen to `tolerance` of
+    times: Operator, precondition: Operator, right: Float[Tensor, " size"], tolerance: float, max_iterations: int
+) -> Float[Tensor, " size"]:
+    """x with A x = right, or as near as it came: the search ends when the residual has fallen to `tolerance` of
     the right side in the preconditioner's norm, or where A turns out not to be positive definite."""
     x = torch.zeros_like(right)
     residual, z = right, precondition(right)
@@ -71,11 +72,16 @@ def conjugate_gradients(
     return x
 
 
-def _preconditioner(elimination: Elimination, lift: Tensor, coarse: Tensor | None, times: Operator) -> Operator:
+def _preconditioner(
+    elimination: Elimination,
+    lift: Float[Tensor, " size"],
+    coarse: Float[Tensor, "size directions"] | None,
+    times: Operator,
+) -> Operator:
     """x -> D^-1 x + W (W^T S W)^-1 W^T x."""
     system, plan = elimination.system, elimination.system.plan
-    first = CAMERA_SIZE * plan.num_cameras
-    blocks = _camera_diagonal(elimination, lift)
+    first = REDUCED_SIZE * plan.num_reduced
+    blocks = _block_diagonal(elimination, lift)
     factor = torch.linalg.cholesky_ex(blocks)[0]
     rest = (system.diagonal + lift)[first:].reciprocal()
     if coarse is None:
@@ -86,33 +92,33 @@ def _preconditioner(elimination: Elimination, lift: Tensor, coarse: Tensor | Non
     if basis.shape[1]:
         root = (system.diagonal + lift).sqrt()[:, None]  # in units in which B has a unit diagonal
         basis = torch.linalg.qr(basis * root).Q / root
-        image = torch.stack([times(column) for column in basis.T], dim=1)
-        values, vectors = torch.linalg.eigh(torch.nan_to_num(basis.T @ image, 0.0, 0.0, 0.0))
+        product = torch.stack([times(column) for column in basis.T], dim=1)
+        values, vectors = torch.linalg.eigh(torch.nan_to_num(basis.T @ product, 0.0, 0.0, 0.0))
         rounding = len(values) * torch.finfo(values.dtype).eps
         small = vectors * torch.where(values > rounding, values.reciprocal(), 0.0) @ vectors.T
 
-    def apply(x: Tensor) -> Tensor:
-        cameras = torch.cholesky_solve(x[:first].view(-1, CAMERA_SIZE, 1), factor).flatten()
-        local = torch.cat((cameras, rest * x[first:]))
+    def apply(x: Float[Tensor, " size"]) -> Float[Tensor, " size"]:
+        own = torch.cholesky_solve(x[:first].view(-1, REDUCED_SIZE, 1), factor).flatten()
+        local = torch.cat((own, rest * x[first:]))
         return local + basis @ (small @ (basis.T @ x)) if basis.shape[1] else local
 
     return apply
 
 
-def _camera_diagonal(elimination: Elimination, lift: Tensor) -> Tensor:
-    """The 6x6 diagonal blocks of the damped reduced system (m, 6, 6)."""
-    system, m = elimination.system, elimination.system.plan.num_cameras
-    first = CAMERA_SIZE * m
-    blocks = lift.new_zeros(m + 1, CAMERA_SIZE, CAMERA_SIZE)
+def _block_diagonal(elimination: Elimination, lift: Float[Tensor, " size"]) -> Float[Tensor, "blocks 6 6"]:
+    """The 6x6 diagonal blocks of the damped reduced system."""
+    system, m = elimination.system, elimination.system.plan.num_reduced
+    first = REDUCED_SIZE * m
+    blocks = lift.new_zeros(m + 1, REDUCED_SIZE, REDUCED_SIZE)
     for chunk, z, _ in elimination.tiles():
-        by_camera = z.unflatten(-1, (chunk.cameras.shape[1], CAMERA_SIZE)).transpose(1, 2).flatten(0, 1)
-        blocks.index_add_(0, chunk.cameras.flatten(), by_camera.mT @ by_camera, alpha=-1.0)
+        by_block = z.unflatten(-1, (chunk.reduced.shape[1], REDUCED_SIZE)).transpose(1, 2).flatten(0, 1)
+        blocks.index_add_(0, chunk.reduced.flatten(), by_block.mT @ by_block, alpha=-1.0)
     own = blocks[:m]
     for columns, hessian, _ in system.blocks:
-        across = (columns[:, :, None] // CAMERA_SIZE == columns[:, None, :] // CAMERA_SIZE) & (
+        across = (columns[:, :, None] // REDUCED_SIZE == columns[:, None, :] // REDUCED_SIZE) & (
             columns[:, :, None] < first
         )
         k, i, j = across.nonzero().T
         row, column = columns[k, i], columns[k, j]
-        own.view(-1).index_add_(0, row * CAMERA_SIZE + column % CAMERA_SIZE, hessian[k, i, j])
-    return own + torch.diag_embed(lift[:first].view(m, CAMERA_SIZE))
+        own.view(-1).index_add_(0, row * REDUCED_SIZE + column % REDUCED_SIZE, hessian[k, i, j])
+    return own + torch.diag_embed(lift[:first].view(m, REDUCED_SIZE))

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Generic, Literal, NamedTuple, Protocol, TypeVar
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 State = TypeVar("State")
@@ -19,21 +20,21 @@ Status = Literal["converged", "max_iterations", "stalled", "not_finite"]
 
 
 class Step(NamedTuple):
-    """A proposed change: of what is kept (size) and of the points (n, 3); predicted_decrease is how much the linear
-    model expects the cost to fall."""
+    """A proposed change of the reduced and of the eliminated blocks, which only the problem understands;
+    predicted_decrease: how much the linear model expects the cost to fall; solved: whether there is a step."""
 
-    kept: Tensor
-    point: Tensor
-    predicted_decrease: Tensor
-    solved: Tensor
+    reduced: Float[Tensor, " size"]
+    eliminated: Float[Tensor, "blocks 3"]
+    predicted_decrease: Float[Tensor, ""]
+    solved: Bool[Tensor, ""]
 
 
 class Linearization(Protocol):
     """The problem linearised at one state."""
 
     @property
-    def cost(self) -> Tensor:
-        """Half the sum of (robust) squared residuals at the state, a scalar."""
+    def cost(self) -> Float[Tensor, ""]:
+        """Half the sum of (robust) squared residuals at the state."""
         ...
 
     def solve(self, damping: float) -> Step:
@@ -75,8 +76,8 @@ def minimize(
     options: LevenbergMarquardtOptions,
     callback: Callable[[int, float, float], None] | None = None,
 ) -> MinimizeReport[State]:
-    """Minimise `problem` from `state`; `callback(iteration, cost, damping)` hears of every accepted step: the cost
-    after it, and the damping that it was taken with.
+    """Minimise `problem` from `state`; `callback(iteration, cost, damping)` is called after every accepted step, with
+    the cost after it and the damping that it was taken with.
 
     The state returned is never worse than the one given. Statuses: "converged"; "max_iterations"; "stalled", no step
     lowers the cost at any damping (usually a minimum to rounding); "not_finite", the cost of the start is not a number.
@@ -92,8 +93,8 @@ def minimize(
         first_try = growth == 2.0  # later ones are damped so much that a small prediction says nothing
         candidate = problem.retract(state, step)
         tried = problem.linearize(candidate)
-        told = torch.stack([tried.cost, step.predicted_decrease, step.solved.to(tried.cost)])  # one look at a GPU
-        tried_cost, predicted, solved = told.tolist()
+        judged = torch.stack([tried.cost, step.predicted_decrease, step.solved.to(tried.cost)])  # one look at a GPU
+        tried_cost, predicted, solved = judged.tolist()
         decrease = cost - tried_cost
         if solved and math.isfinite(tried_cost) and predicted > 0.0 and decrease >= 0.0:
             state, cost, current = candidate, tried_cost, tried

@@ -8,13 +8,16 @@ away the positive definiteness that a Cholesky factorisation stands on, and near
 from typing import Literal, get_args
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 LossName = Literal["squared", "huber", "cauchy", "truncated"]
 
 
-def robust(s: Tensor, loss: LossName, scale: float) -> tuple[Tensor, Tensor]:
-    """rho (*B) and its derivative (*B) at squared norms s (*B); `scale` is in the unit of the residual.
+def robust(
+    s: Float[Tensor, "*batch"], loss: LossName, scale: float
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
+    """rho and its derivative at squared norms s; `scale` is in the unit of the residual.
 
     squared: s itself. huber: linear in |r| beyond the scale. cauchy: scale^2 log(1 + s / scale^2). truncated: constant
     beyond the scale.
@@ -31,7 +34,7 @@ def robust(s: Tensor, loss: LossName, scale: float) -> tuple[Tensor, Tensor]:
     raise ValueError(f"loss is {loss!r}, but must be one of {', '.join(get_args(LossName))}")
 
 
-def huber(s: Tensor, scale: float) -> tuple[Tensor, Tensor]:
+def huber(s: Float[Tensor, "*batch"], scale: float) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
     """Huber: s inside |r| <= scale, linear in |r| outside."""
     limit = scale * scale
     root = s.clamp(min=limit).sqrt()

@@ -1,12 +1,12 @@
-"""The normal equations of a bundle adjustment at one state.
+"""The normal equations at one state.
 
-With J_c the derivatives in what is kept (cameras, shared unknowns, whatever else) and J_p those in the points,
+With J_c the derivatives in the reduced unknowns and J_p those in the eliminated ones,
 
     [ B   E ] [dc]     [gc]
     [ E^T V ] [dp] = - [gp]
 
-B is given as small dense blocks, one a camera and one a further term; V as 3x3 blocks; E stays factored, as the rows of
-the Jacobian. Solving is in `elimination` and in the two solvers of the reduced system, `dense` and `iterative`.
+B is given as small dense matrices, one a reduced block and one a further term, V as 3x3 blocks; E stays factored as
+rows of the Jacobian. Solving is in `elimination` and in the two solvers of the reduced system, `dense` and `iterative`.
 """
 
 from collections.abc import Sequence
@@ -15,78 +15,86 @@ from functools import cached_property
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.optim.plan import CACHED, SchurPlan
+from torchrefrac.optim.plan import CACHED, ELIMINATED_SIZE, SchurPlan
 
 NEGLIGIBLE = 1e-18
-UPPER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
+LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
+DIAGONAL = [LOWER.index((i, i)) for i in range(ELIMINATED_SIZE)]
 
 
 class Blocks(NamedTuple):
-    """K terms of the cost that depend on w reduced unknowns each.
+    """Terms of the cost that depend on a few reduced unknowns each.
 
-    columns (K, w): which ones; the number of reduced unknowns itself stands for one that is held. hessian (K, w, w) and
-    gradient (K, w): J^T J and J^T r.
+    columns: which ones; the number of reduced unknowns itself stands for one that does not vary. hessian and gradient:
+    J^T J and J^T r.
     """
 
-    columns: Tensor
-    hessian: Tensor
-    gradient: Tensor
+    columns: Int[Tensor, "terms width"]
+    hessian: Float[Tensor, "terms width width"]
+    gradient: Float[Tensor, "terms width"]
 
     @classmethod
-    def of_rows(cls, columns: Tensor, jacobian: Tensor, residual: Tensor) -> "Blocks":
-        """From residuals (K, r) and their derivatives (K, r, w)."""
+    def of_rows(
+        cls,
+        columns: Int[Tensor, "terms width"],
+        jacobian: Float[Tensor, "terms residuals width"],
+        residual: Float[Tensor, "terms residuals"],
+    ) -> "Blocks":
+        """From residuals and their derivatives."""
         return cls(columns, jacobian.mT @ jacobian, (jacobian.mT @ residual[..., None])[..., 0])
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """rows (r, w + 4, N): weighted derivatives of every observation in the w unknowns of its camera and in its point,
-    then its weighted residual, in the order of the plan. point_hessian (6, places): lower triangles;
-    point_gradient (3, places). cost: of the state, a scalar.
+    """rows: weighted derivatives and residuals of every observation, in the order of the plan, see `RowLayout`.
+    eliminated_hessian: lower triangles. cost: of the state.
 
-    null_space (size, k): orthonormal directions of the reduced unknowns in which the cost is flat (the gauge);
-    undamped steps get no component along them, damped ones next to none (of the order of the damping).
+    null_space: orthonormal directions of the reduced unknowns in which the cost is flat (the gauge); undamped steps get
+    no component along them, damped ones next to none (of the order of the damping).
     """
 
     plan: SchurPlan
-    cost: Tensor
-    rows: Tensor
+    cost: Float[Tensor, ""]
+    rows: Float[Tensor, "residuals row observations"]
     blocks: tuple[Blocks, ...]
-    point_hessian: Tensor
-    point_gradient: Tensor
-    null_space: Tensor | None = None
+    eliminated_hessian: Float[Tensor, "6 places"]
+    eliminated_gradient: Float[Tensor, "3 places"]
+    null_space: Float[Tensor, "size directions"] | None = None
 
     @cached_property
-    def gradient(self) -> Tensor:
-        """In the reduced unknowns (size)."""
+    def gradient(self) -> Float[Tensor, " size"]:
+        """In the reduced unknowns."""
         return self._scattered([(block.columns, block.gradient) for block in self.blocks])
 
     @cached_property
-    def diagonal(self) -> Tensor:
-        """Of B (size)."""
+    def diagonal(self) -> Float[Tensor, " size"]:
+        """Of B."""
         return self._scattered([(b.columns, b.hessian.diagonal(dim1=1, dim2=2)) for b in self.blocks])
 
     @property
-    def dead(self) -> Tensor:
-        """Mask (size) of the unknowns that nothing depends on, but for rounding."""
+    def dead(self) -> Bool[Tensor, " size"]:
+        """Mask of the unknowns that nothing depends on, but for rounding."""
         return self.diagonal <= NEGLIGIBLE
 
-    def apply(self, x: Tensor) -> Tensor:
-        """B x, for x (size)."""
+    def apply(self, x: Float[Tensor, " size"]) -> Float[Tensor, " size"]:
+        """B x."""
         padded = torch.nn.functional.pad(x, (0, 1))
         return self._scattered([(b.columns, (b.hessian @ padded[b.columns][..., None])[..., 0]) for b in self.blocks])
 
-    def dense(self) -> Tensor:
-        """B as a matrix (size, size)."""
+    def dense(self) -> Float[Tensor, "size size"]:
+        """B as a matrix."""
         across = self.plan.size + 1
         matrix = self.rows.new_zeros(across * across)
         for columns, hessian, _ in self.blocks:
             matrix.index_add_(0, (columns[:, :, None] * across + columns[:, None, :]).flatten(), hessian.flatten())
         return matrix.view(across, across)[:-1, :-1]
 
-    def _scattered(self, parts: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
+    def _scattered(
+        self, parts: Sequence[tuple[Int[Tensor, "terms width"], Float[Tensor, "terms width"]]]
+    ) -> Float[Tensor, " size"]:
         total = self.rows.new_zeros(self.plan.size + 1)
         for columns, values in parts:
             total.index_add_(0, columns.flatten(), values.flatten())
@@ -95,34 +103,36 @@ class NormalEquations:
 
 def linearize(
     plan: SchurPlan,
-    rows: Tensor,
-    cost: Tensor,
+    rows: Float[Tensor, "residuals row observations"],
+    cost: Float[Tensor, ""],
     terms: Sequence[Blocks] = (),
-    null_space: Tensor | None = None,
+    null_space: Float[Tensor, "size directions"] | None = None,
 ) -> NormalEquations:
-    """Normal equations of the observations `rows` (r, w + 4, N) and of further `terms`; see `NormalEquations`."""
-    hessian, gradient = _point_sums(plan, rows)
-    blocks = (_camera_blocks(plan, rows), *terms)
+    """Normal equations of the observations `rows` and of further `terms`; see `NormalEquations`."""
+    hessian, gradient = _eliminated_sums(plan, rows)
+    blocks = (_reduced_blocks(plan, rows), *terms)
     return NormalEquations(plan, cost, rows, blocks, hessian, gradient, null_space)
 
 
-def _point_sums(plan: SchurPlan, rows: Tensor) -> tuple[Tensor, Tensor]:
-    total = rows.new_zeros(9, plan.num_places)
+def _eliminated_sums(
+    plan: SchurPlan, rows: Float[Tensor, "residuals row observations"]
+) -> tuple[Float[Tensor, "6 places"], Float[Tensor, "3 places"]]:
+    total = rows.new_zeros(len(LOWER) + ELIMINATED_SIZE, plan.num_places)
     for here in in_cache(rows.shape[-1]):
-        *by_point, residual = rows[:, -4:, here].unbind(dim=1)
-        products = [by_point[i] * by_point[j] for i, j in UPPER] + [by * residual for by in by_point]
-        total.index_add_(1, plan.point[here], torch.stack([product.sum(dim=0) for product in products]))
-    return total[:6], total[6:]
+        *by, residual = rows[:, plan.layout.eliminated.start :, here].unbind(dim=1)
+        products = [by[i] * by[j] for i, j in LOWER] + [derivative * residual for derivative in by]
+        total.index_add_(1, plan.place[here], torch.stack([product.sum(dim=0) for product in products]))
+    return total[: len(LOWER)], total[len(LOWER) :]
 
 
-def _camera_blocks(plan: SchurPlan, rows: Tensor) -> Blocks:
-    """J^T J and J^T r of each camera: products of matrices with the observations of a camera below each other."""
-    width = rows.shape[1] - 3
-    total = rows.new_zeros(plan.num_cameras, width, width)
+def _reduced_blocks(plan: SchurPlan, rows: Float[Tensor, "residuals row observations"]) -> Blocks:
+    """J^T J and J^T r of each block: products of matrices with the observations of a block below each other."""
+    layout, width = plan.layout, plan.layout.reduced.stop + 1
+    total = rows.new_zeros(plan.num_reduced, width, width)
     table, owner, ends = plan.gram_rows
     listed = rows.new_zeros(CACHED + 1, rows.shape[0] * width)  # what fills up the table is the last row, zero
     for here, first, end in zip(in_cache(rows.shape[-1]), (0, *ends), ends, strict=False):
-        part = torch.cat((rows[:, :-4, here], rows[:, -1:, here]), dim=1)
+        part = torch.cat((rows[:, layout.reduced, here], rows[:, layout.residual, here]), dim=1)
         listed[: part.shape[-1]] = part.flatten(0, 1).T
         mine = listed.index_select(0, table[first:end].flatten()).view(end - first, -1, width)
         total.index_add_(0, owner[first:end], mine.mT @ mine)

@@ -1,8 +1,8 @@
-"""What a bundle adjustment looks like before any number is known: who sees what, in which order, in which tiles.
+"""The structure of a problem before any number is known: which blocks meet, in which order, in which tiles.
 
-The order is chosen for the Schur complement. Points that are seen by the same cameras lie side by side and are cut into
-tiles of `TILE` points; what a tile adds to the reduced system is one small dense matrix product over the few cameras
-that see it. Tiles with as many cameras lie side by side, so that they can be multiplied as a batch.
+The order is chosen for the Schur complement. Eliminated blocks that meet the same reduced blocks lie side by side and
+are cut into tiles of `TILE`; what a tile adds to the reduced system is one small dense matrix product over the few
+reduced blocks that it meets. Tiles that meet as many lie side by side, so that they can be multiplied as a batch.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,11 +11,12 @@ from functools import cached_property
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Int, Shaped
 from torch import Tensor
 
 TILE = 64
-CAMERA_SIZE = 6
-POINT_SIZE = 3
+REDUCED_SIZE = 6
+ELIMINATED_SIZE = 3
 CHUNK_ELEMENTS = 1 << 19
 CHUNK_GROWTH = 1.15
 GRAM_ROWS = 64
@@ -23,35 +24,57 @@ CACHED = 16384
 
 
 class Family(NamedTuple):
-    """`size` unknowns that come in `count` copies, of which every camera has one: of_camera (m).
-
-    A lens for each of several cameras that took turns, a water level for each of several days.
-    """
+    """`size` unknowns that come in `count` copies, of which every reduced block depends on one: `member`."""
 
     size: int
-    of_camera: Tensor
+    member: Int[Tensor, " blocks"]
     count: int = 1
+
+
+class RowLayout(NamedTuple):
+    """Where the numbers of a row are found: the derivatives of a residual in its reduced block, in its member of each
+    family and in its eliminated block; then the residual itself. reduced: block and families together."""
+
+    block: slice
+    shared: tuple[slice, ...]
+    reduced: slice
+    eliminated: slice
+    residual: slice
+
+    @classmethod
+    def of(cls, *family_sizes: int) -> "RowLayout":
+        ends = [REDUCED_SIZE]
+        for size in (*family_sizes, ELIMINATED_SIZE, 1):
+            ends.append(ends[-1] + size)
+        block, *shared, eliminated, residual = map(slice, (0, *ends), ends)
+        return cls(block, tuple(shared), slice(eliminated.start), eliminated, residual)
+
+    @property
+    def size(self) -> int:
+        """How many numbers a row has."""
+        return self.residual.stop
 
 
 class Chunk(NamedTuple):
     """Consecutive tiles, multiplied together.
 
-    tiles, observations: the first and the end of each. cameras (B, C): who sees each of B tiles, ascending, filled up
-    with m. place (k): where the first row of each observation goes in a buffer of (B * TILE * 3, C) blocks.
+    tiles, observations: the first and the end of each. reduced: the reduced blocks that each tile meets, ascending,
+    filled up with their number. slot: where the first row of each observation goes in a buffer of
+    (tiles * TILE * 3, width) blocks.
     """
 
     tiles: slice
     observations: slice
-    cameras: Tensor
-    place: Tensor
+    reduced: Int[Tensor, "tiles width"]
+    slot: Int[Tensor, " observations"]
 
 
 class GramRows(NamedTuple):
-    """Observations of one camera in rows of GRAM_ROWS, counted within their stretch of CACHED (k, GRAM_ROWS) and
-    filled up with CACHED; whose each row is (k); and how many rows there are up to the end of each stretch."""
+    """Observations of one reduced block in rows of GRAM_ROWS, counted within their stretch of CACHED and filled up with
+    CACHED; which block each row is of; and how many rows there are up to the end of each stretch."""
 
-    table: Tensor
-    owner: Tensor
+    table: Int[Tensor, "rows gram"]
+    owner: Int[Tensor, " rows"]
     ends: list[int]
 
 
@@ -59,61 +82,67 @@ class GramRows(NamedTuple):
 class SchurPlan:
     """The structure of the normal equations; everything in `order`, an arrangement of the observations given.
 
-    camera, point (N): ids, the latter as places among `num_places` (tiles are filled up). place_of_point (n). The
-    reduced unknowns are 6 for each of m cameras, those of the families, and `num_extra` more that no point depends on;
-    columns (m, w): where those that the observations of a camera depend on are found among them.
+    reduced, place: the blocks of each observation, the eliminated one by its place among `num_places` (tiles are filled
+    up); place_of: that of each eliminated block. The reduced unknowns are 6 of each reduced block, those of the
+    families, and `num_extra` more that no eliminated block meets; columns: where those that the observations of a
+    reduced block depend on are found among them.
     """
 
-    order: Tensor
-    camera: Tensor
-    point: Tensor
-    place_of_point: Tensor
-    num_cameras: int
+    order: Int[Tensor, " observations"]
+    reduced: Int[Tensor, " observations"]
+    place: Int[Tensor, " observations"]
+    place_of: Int[Tensor, " eliminated"]
+    num_reduced: int
     num_places: int
     families: tuple[Family, ...]
     num_extra: int
-    columns: Tensor
+    columns: Int[Tensor, "blocks width"]
     chunks: tuple[Chunk, ...]
 
     @classmethod
     def create(
         cls,
-        camera: Tensor,
-        point: Tensor,
-        num_cameras: int,
-        num_points: int,
+        reduced: Int[Tensor, " observations"],
+        eliminated: Int[Tensor, " observations"],
+        num_reduced: int,
+        num_eliminated: int,
         families: Sequence[Family] = (),
         num_extra: int = 0,
-        locality: Tensor | None = None,
+        locality: Shaped[Tensor, " eliminated"] | None = None,
     ) -> "SchurPlan":
-        """Plan for observations of `point` (N) by `camera` (N), in any order, no pair twice.
+        """Plan for observations of pairs of a `reduced` and an `eliminated` block, in any order, no pair twice.
 
-        locality (n), whole numbers: points of near values are seen by the same cameras (a place on a curve that fills
-        space); by default the mean of their cameras' ids.
+        locality: eliminated blocks of near values meet the same reduced ones (a place on a curve that fills space); by
+        default the mean of their ids.
         """
-        tiling = _Tiling.of(camera, point, num_cameras, num_points, locality)
-        place = tiling.place_of_point[point]
-        pair, order = torch.sort(place * num_cameras + camera)
+        tiling = _Tiling.of(reduced, eliminated, num_reduced, num_eliminated, locality)
+        place = tiling.place_of[eliminated]
+        pair, order = torch.sort(place * num_reduced + reduced)
         if bool((pair[1:] == pair[:-1]).any()):
-            raise ValueError("a camera sees a point twice; each pair of camera and point may occur once")
-        camera, place = camera[order], place[order]
+            raise ValueError("two observations are of the same reduced and the same eliminated block")
+        reduced, place = reduced[order], place[order]
         return cls(
             order=order,
-            camera=camera,
-            point=place,
-            place_of_point=tiling.place_of_point,
-            num_cameras=num_cameras,
+            reduced=reduced,
+            place=place,
+            place_of=tiling.place_of,
+            num_reduced=num_reduced,
             num_places=tiling.num_tiles * TILE,
             families=tuple(families),
             num_extra=num_extra,
-            columns=_columns(num_cameras, families, camera),
-            chunks=tuple(tiling.chunks(place, order, num_cameras)),
+            columns=_columns(num_reduced, families, reduced),
+            chunks=tuple(tiling.chunks(place, order, num_reduced)),
         )
 
     def with_families(self, families: Sequence[Family]) -> "SchurPlan":
         """The same observations with other shared unknowns."""
-        columns = _columns(self.num_cameras, families, self.camera)
+        columns = _columns(self.num_reduced, families, self.reduced)
         return replace(self, families=tuple(families), columns=columns)
+
+    @cached_property
+    def layout(self) -> RowLayout:
+        """Of the rows of its observations."""
+        return RowLayout.of(*(family.size for family in self.families))
 
     @property
     def num_shared(self) -> int:
@@ -123,14 +152,14 @@ class SchurPlan:
     @property
     def size(self) -> int:
         """How many reduced unknowns there are."""
-        return CAMERA_SIZE * self.num_cameras + self.num_shared + self.num_extra
+        return REDUCED_SIZE * self.num_reduced + self.num_shared + self.num_extra
 
     @cached_property
-    def gram_rows(self) -> "GramRows":
-        """Where the observations of each camera are, a stretch of CACHED observations at a time."""
-        count, m = len(self.camera), self.num_cameras
-        stretch = torch.div(_range(count, self.camera), CACHED, rounding_mode="floor")
-        group, order = torch.sort(stretch * m + self.camera, stable=True)
+    def gram_rows(self) -> GramRows:
+        """Where the observations of each reduced block are, a stretch of CACHED observations at a time."""
+        count, m = len(self.reduced), self.num_reduced
+        stretch = torch.div(_range(count, self.reduced), CACHED, rounding_mode="floor")
+        group, order = torch.sort(stretch * m + self.reduced, stable=True)
         size = torch.bincount(group, minlength=m * -(-count // CACHED))
         rows_of = (size + GRAM_ROWS - 1) // GRAM_ROWS
         owner = torch.repeat_interleave(_range(len(size), size), rows_of)
@@ -142,65 +171,74 @@ class SchurPlan:
         return GramRows(torch.where(within < size[owner][:, None], table, CACHED), owner % m, per_stretch)
 
 
-def _columns(num_cameras: int, families: Sequence[Family], like: Tensor) -> Tensor:
-    """Where the unknowns that each camera depends on are found among the reduced ones (m, w)."""
-    columns = [CAMERA_SIZE * _range(num_cameras, like)[:, None] + _range(CAMERA_SIZE, like)]
-    first = CAMERA_SIZE * num_cameras
+def _columns(num_reduced: int, families: Sequence[Family], like: Shaped[Tensor, "..."]) -> Int[Tensor, "blocks width"]:
+    """Where the unknowns that the observations of each reduced block depend on are found among the reduced ones."""
+    columns = [REDUCED_SIZE * _range(num_reduced, like)[:, None] + _range(REDUCED_SIZE, like)]
+    first = REDUCED_SIZE * num_reduced
     for family in families:
-        columns.append(first + family.size * family.of_camera[:, None] + _range(family.size, like))
+        columns.append(first + family.size * family.member[:, None] + _range(family.size, like))
         first += family.size * family.count
     return torch.cat(columns, dim=1)
 
 
-def _range(count: int, like: Tensor) -> Tensor:
+def _range(count: int, like: Shaped[Tensor, "..."]) -> Int[Tensor, " count"]:
     return torch.arange(count, device=like.device)
 
 
 @dataclass(frozen=True)
 class _Tiling:
-    """A place for every point (n): tiles of neighbours, tiles with as many cameras side by side.
+    """A place for every eliminated block: tiles of neighbours, tiles that meet as many reduced blocks side by side.
 
-    local (N, as given): which of the cameras of its tile an observation is from. cameras: of all tiles, one after the
-    other; width (num_tiles): how many each has.
+    local (as given): which of the reduced blocks of its tile an observation is of. reduced: those of all tiles, one
+    tile after the other; width: how many each has.
     """
 
-    place_of_point: Tensor
+    place_of: Int[Tensor, " eliminated"]
     num_tiles: int
-    local: Tensor
-    cameras: Tensor
-    width: Tensor
+    local: Int[Tensor, " observations"]
+    reduced: Int[Tensor, " listed"]
+    width: Int[Tensor, " tiles"]
 
     @classmethod
-    def of(cls, camera: Tensor, point: Tensor, num_cameras: int, num_points: int, locality: Tensor | None) -> "_Tiling":
+    def of(
+        cls,
+        reduced: Int[Tensor, " observations"],
+        eliminated: Int[Tensor, " observations"],
+        num_reduced: int,
+        num_eliminated: int,
+        locality: Shaped[Tensor, " eliminated"] | None,
+    ) -> "_Tiling":
         if locality is None:
-            count = torch.bincount(point, minlength=num_points).clamp(min=1)
-            locality = torch.bincount(point, weights=camera.double(), minlength=num_points) / count
-        rank = torch.empty_like(point.new_zeros(num_points))
-        rank[torch.argsort(locality, stable=True)] = _range(num_points, point)
-        num_tiles = -(-num_points // TILE)
+            count = torch.bincount(eliminated, minlength=num_eliminated).clamp(min=1)
+            locality = torch.bincount(eliminated, weights=reduced.double(), minlength=num_eliminated) / count
+        rank = torch.empty_like(eliminated.new_zeros(num_eliminated))
+        rank[torch.argsort(locality, stable=True)] = _range(num_eliminated, eliminated)
+        num_tiles = -(-num_eliminated // TILE)
         tile = rank // TILE
-        seen, which = torch.unique(tile[point] * num_cameras + camera, return_inverse=True)
-        owner = torch.div(seen, num_cameras, rounding_mode="floor")
+        met, which = torch.unique(tile[eliminated] * num_reduced + reduced, return_inverse=True)
+        owner = torch.div(met, num_reduced, rounding_mode="floor")
         width = torch.bincount(owner, minlength=num_tiles)
-        local = which - (torch.cumsum(width, dim=0) - width)[tile[point]]
+        local = which - (torch.cumsum(width, dim=0) - width)[tile[eliminated]]
         by_width = torch.argsort(width, stable=True)
         new_tile = torch.empty_like(width)
-        new_tile[by_width] = _range(num_tiles, point)
-        cameras = (seen % num_cameras)[torch.argsort(new_tile[owner], stable=True)]
-        return cls(new_tile[tile] * TILE + rank % TILE, num_tiles, local, cameras, width[by_width])
+        new_tile[by_width] = _range(num_tiles, eliminated)
+        listed = (met % num_reduced)[torch.argsort(new_tile[owner], stable=True)]
+        return cls(new_tile[tile] * TILE + rank % TILE, num_tiles, local, listed, width[by_width])
 
-    def chunks(self, place: Tensor, order: Tensor, num_cameras: int) -> Iterator[Chunk]:
-        """For observations in `order` (N), at `place` (N)."""
+    def chunks(
+        self, place: Int[Tensor, " observations"], order: Int[Tensor, " observations"], num_reduced: int
+    ) -> Iterator[Chunk]:
+        """For observations in `order`, at `place`."""
         local, first = self.local[order], torch.cumsum(self.width, dim=0) - self.width
         starts = TILE * _range(self.num_tiles + 1, place)
         first_observation = torch.searchsorted(place, starts).tolist()
         for start, end, widest in _runs(self.width.tolist()):
             observations = slice(first_observation[start], first_observation[end])
             slots = _range(widest, place)
-            index = (first[start:end, None] + slots).clamp(max=len(self.cameras) - 1)
-            cameras = torch.where(slots < self.width[start:end, None], self.cameras[index], num_cameras)
-            row = (place[observations] - start * TILE) * POINT_SIZE
-            yield Chunk(slice(start, end), observations, cameras, row * widest + local[observations])
+            index = (first[start:end, None] + slots).clamp(max=len(self.reduced) - 1)
+            reduced = torch.where(slots < self.width[start:end, None], self.reduced[index], num_reduced)
+            row = (place[observations] - start * TILE) * ELIMINATED_SIZE
+            yield Chunk(slice(start, end), observations, reduced, row * widest + local[observations])
 
 
 def _runs(widths: Sequence[int]) -> list[tuple[int, int, int]]:
@@ -212,7 +250,7 @@ def _runs(widths: Sequence[int]) -> list[tuple[int, int, int]]:
         while (
             end < len(widths)
             and widths[end] <= widths[start] * CHUNK_GROWTH + 1
-            and (end + 1 - start) * widths[end] * TILE * POINT_SIZE * CAMERA_SIZE <= CHUNK_ELEMENTS
+            and (end + 1 - start) * widths[end] * TILE * ELIMINATED_SIZE * REDUCED_SIZE <= CHUNK_ELEMENTS
         ):
             end += 1
         runs.append((start, end, widths[end - 1]))

@@ -3,13 +3,14 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.optim.dense import solve_dense
 from torchrefrac.optim.elimination import Elimination
 from torchrefrac.optim.iterative import IterativeOptions, solve_iteratively
 from torchrefrac.optim.levenberg_marquardt import Step
-from torchrefrac.optim.normal_equations import NormalEquations
+from torchrefrac.optim.normal_equations import DIAGONAL, NormalEquations
 
 ReducedSolver = Literal["auto", "dense", "iterative"]
 MAX_DENSE = 7200
@@ -20,16 +21,16 @@ class Linearized:
     """Normal equations that Levenberg-Marquardt can solve.
 
     solver: "dense" Cholesky, "iterative" (preconditioned conjugate gradients on the reduced system, never formed), or
-    "auto": dense up to MAX_DENSE reduced unknowns. coarse (size, c): see `solve_iteratively`.
+    "auto": dense up to MAX_DENSE reduced unknowns. coarse: see `solve_iteratively`.
     """
 
     system: NormalEquations
     solver: ReducedSolver = "auto"
     iterative: IterativeOptions = field(default_factory=IterativeOptions)
-    coarse: Tensor | None = None
+    coarse: Float[Tensor, "size directions"] | None = None
 
     @property
-    def cost(self) -> Tensor:
+    def cost(self) -> Float[Tensor, ""]:
         return self.system.cost
 
     @property
@@ -42,11 +43,11 @@ class Linearized:
         system = self.system
         elimination = Elimination(system, damping)
         if self.is_dense:
-            kept, solved = solve_dense(elimination)
+            reduced, solved = solve_dense(elimination)
         else:
-            kept, solved = solve_iteratively(elimination, self.coarse, self.iterative)
-        point = elimination.back_substitute(kept)
-        gain = -(system.gradient @ kept) - (system.point_gradient * point).sum()
-        diagonal = system.point_hessian[[0, 2, 5]]
-        bend = (system.diagonal * kept * kept).sum() + (diagonal * point * point).sum()
-        return Step(kept, point[:, system.plan.place_of_point].T, 0.5 * (gain + damping * bend), solved)
+            reduced, solved = solve_iteratively(elimination, self.coarse, self.iterative)
+        places = elimination.back_substitute(reduced)
+        gain = -(system.gradient @ reduced) - (system.eliminated_gradient * places).sum()
+        diagonal = system.eliminated_hessian[DIAGONAL]
+        bend = (system.diagonal * reduced * reduced).sum() + (diagonal * places * places).sum()
+        return Step(reduced, places[:, system.plan.place_of].T, 0.5 * (gain + damping * bend), solved)

@@ -5,17 +5,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.checks import TorchrefracError
-from torchrefrac.geometry import Rigid
 from torchrefrac.scene.cameras import Cameras
 from torchrefrac.scene.interfaces import Interfaces
-from torchrefrac.scene.observations import Observations
-from torchrefrac.scene.scene import Scene
-from torchrefrac.scene.views import Views
 
 
 class CaptureError(TorchrefracError, ValueError):
@@ -73,30 +69,12 @@ class Capture:
         return float(self.interfaces.index_ratio[0])
 
     def of_views(self, rows: Sequence[int]) -> "Capture":
-        """Some of the photographs, in this order."""
+        """Some of the photographs, by their numbers, in this order."""
         return replace(
             self,
             names=tuple(self.names[i] for i in rows),
             paths=tuple(self.paths[i] for i in rows),
             **{name: getattr(self, name)[list(rows)] for name in PER_VIEW if len(getattr(self, name))},
-        )
-
-    def scene(self, observations: Observations, colors: UInt8[Tensor, "n 3"], index_ratio: float) -> Scene:
-        """The scene before anything of it is known: views without poses, points (the tracks of `observations`) without
-        positions, behind interfaces of this index ratio."""
-        m, n = len(self), len(colors)
-        views = Views(self.names, Rigid.identity(m), self.camera, self.interface, torch.zeros(m, dtype=torch.bool))
-        ratio = torch.full_like(self.interfaces.index_ratio, index_ratio)
-        return Scene(
-            cameras=self.cameras,
-            views=views,
-            interfaces=replace(self.interfaces, index_ratio=ratio),
-            points=torch.zeros(n, 3, dtype=torch.float64),
-            colors=colors,
-            placed=torch.zeros(n, dtype=torch.bool),
-            observations=observations,
-            accepted=torch.zeros(len(observations), dtype=torch.bool),
-            length_unit=self.length_unit,
         )
 
 

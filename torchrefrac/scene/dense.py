@@ -30,7 +30,7 @@ class DenseCloud:
 
     def __getitem__(self, rows: Bool[Tensor, " n"] | Int[Tensor, " k"]) -> "DenseCloud":
         """Some of the points, by a mask or indices."""
-        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "length_unit"})
+        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)[:-1]})
 
     @classmethod
     def empty(cls, length_unit: str) -> "DenseCloud":

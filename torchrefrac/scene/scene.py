@@ -12,6 +12,7 @@ from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.geometry import Rigid
 from torchrefrac.scene.cameras import Cameras
+from torchrefrac.scene.capture import Capture
 from torchrefrac.scene.interfaces import Interfaces
 from torchrefrac.scene.observations import Observations
 from torchrefrac.scene.views import Views
@@ -55,7 +56,8 @@ class Scene:
 
     World: z up, the (first) interface at z = 0 unless a file says otherwise; lengths in length_unit. Points have a
     position where `placed`, and colours (RGB). Observations ascend by point; `accepted` are those that support a placed
-    point in a registered view. failures: why a view is not registered, by name.
+    point in a registered view. failures: why a view is not registered, by name. capture: the photographs of the views,
+    in their order, where they are at hand.
 
     Raises SceneError where shapes do not fit together, an index is out of range or observations do not ascend.
     """
@@ -71,6 +73,28 @@ class Scene:
     length_unit: str = "unit"
     failures: Mapping[str, str] = field(default_factory=dict)
     assessment: Assessment = field(default_factory=Assessment)
+    capture: Capture | None = None
+
+    @classmethod
+    def of_capture(
+        cls, capture: Capture, observations: Observations, colors: UInt8[Tensor, "n 3"], index_ratio: float
+    ) -> "Scene":
+        """Before anything is known: views without poses, points (the tracks of `observations`) without positions,
+        behind interfaces of this index ratio."""
+        m, n, interfaces = len(capture), len(colors), capture.interfaces
+        posed = torch.zeros(m, dtype=torch.bool)
+        return cls(
+            cameras=capture.cameras,
+            views=Views(capture.names, Rigid.identity(m), capture.camera, capture.interface, posed),
+            interfaces=replace(interfaces, index_ratio=torch.full_like(interfaces.index_ratio, index_ratio)),
+            points=torch.zeros(n, 3, dtype=torch.float64),
+            colors=colors,
+            placed=torch.zeros(n, dtype=torch.bool),
+            observations=observations,
+            accepted=torch.zeros(len(observations), dtype=torch.bool),
+            length_unit=capture.length_unit,
+            capture=capture,
+        )
 
     @classmethod
     def create(
@@ -173,6 +197,18 @@ class Scene:
         """How many accepted observations each view has."""
         return torch.bincount(self.observations.view[self.accepted], minlength=len(self.views))
 
+    def detached(self) -> "Scene":
+        """The same without a graph."""
+        pose = Rigid(self.views.rotation.detach(), self.views.center.detach())
+        return replace(
+            self,
+            cameras=self.cameras.detached(),
+            views=replace(self.views, pose=pose),
+            interfaces=self.interfaces.detached(),
+            points=self.points.detach(),
+            observations=self.observations.detached(),
+        )
+
     def part(self, min_observations: int = 1) -> Part:
         """Registered views, the points with so many accepted observations, and these observations."""
         rows = self.accepted & self.placed[self.observations.point]
@@ -224,11 +260,12 @@ class Scene:
 
     def of_views(self, wanted: Bool[Tensor, " m"]) -> "Scene":
         """Only those views and their observations; all points and cameras stay."""
-        observed = wanted[self.observations.view]
+        observed, rows = wanted[self.observations.view], wanted.nonzero()[:, 0]
         seen = self.observations[observed]
         return replace(
             self,
-            views=self.views[wanted.nonzero()[:, 0]],
+            capture=self.capture and self.capture.of_views(rows.tolist()),
+            views=self.views[rows],
             observations=replace(seen, view=(wanted.cumsum(dim=0) - 1)[seen.view]),
             accepted=self.accepted[observed],
         )

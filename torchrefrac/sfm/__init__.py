@@ -1,24 +1,48 @@
-"""Incremental structure from motion, as in section 3 of the paper."""
+"""Structure from motion in verbs: `start, register, triangulate, filter_points, adjust` take a scene and rules, and
+return a new scene and how it went. `reconstruct_sparse` and `readjust` are two orders of them (paper, section 3)."""
 
+from torchrefrac.sfm.adjust import adjust
+from torchrefrac.sfm.filter_points import filter_points
 from torchrefrac.sfm.incremental import NoInitialPairError, reconstruct_sparse
-from torchrefrac.sfm.options import SfmOptions
+from torchrefrac.sfm.outcome import Adjustment, Filtering, Outcome, Registration, Start, Triangulation
 from torchrefrac.sfm.pinhole import PinholeInitializer
 from torchrefrac.sfm.pose import PairPose, Pose, PoseInitializer
+from torchrefrac.sfm.readjust import readjust
 from torchrefrac.sfm.refractive import RefractiveInitializer
+from torchrefrac.sfm.register import register
+from torchrefrac.sfm.rules import ReadjustOptions, Rules, SfmOptions
+from torchrefrac.sfm.start import start
+from torchrefrac.sfm.triangulate import triangulate
 from torchrefrac.sfm.verification import VerifiedPair, verify_pairs
 from torchrefrac.sfm.vertical import UnknownVerticalError, level_capture
+from torchrefrac.sfm.water_level import with_found_level
 
 __all__ = [
+    "Adjustment",
+    "Filtering",
     "NoInitialPairError",
+    "Outcome",
     "PairPose",
     "PinholeInitializer",
     "Pose",
     "PoseInitializer",
+    "ReadjustOptions",
     "RefractiveInitializer",
+    "Registration",
+    "Rules",
     "SfmOptions",
+    "Start",
+    "Triangulation",
     "UnknownVerticalError",
     "VerifiedPair",
+    "adjust",
+    "filter_points",
     "level_capture",
+    "readjust",
     "reconstruct_sparse",
+    "register",
+    "start",
+    "triangulate",
     "verify_pairs",
+    "with_found_level",
 ]

@@ -1,4 +1,4 @@
-"""The incremental loop: a pair with a sufficient baseline, then one image at a time (paper, section 3)."""
+"""The incremental order of the verbs: a pair with a sufficient baseline, then one view at a time (paper, section 3)."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -6,23 +6,22 @@ from itertools import count
 
 import torch
 
-from torchrefrac.bundle import BundleReport
+from torchrefrac.bundle import GravityPrior, Term
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
-from torchrefrac.scene import Capture, Reconstruction, Tracks
-from torchrefrac.sfm.adjustment import Steps, adjust_model, assess_model
-from torchrefrac.sfm.filtering import affordable_length, drop_unsupported_images, filter_points
+from torchrefrac.scene import Capture, Part, Scene
+from torchrefrac.sfm.adjust import Steps, adjust, assess_scene
+from torchrefrac.sfm.filter_points import affordable_length, filter_points
 from torchrefrac.sfm.frame import fix_frame
-from torchrefrac.sfm.initial_pair import rank_initial_pairs, start_from_pair
-from torchrefrac.sfm.model import SparseModel
-from torchrefrac.sfm.options import SfmOptions
+from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.pose import PoseInitializer
-from torchrefrac.sfm.registration import register_image, visible_points
-from torchrefrac.sfm.triangulation import triangulate_tracks
+from torchrefrac.sfm.register import register, visible_points
+from torchrefrac.sfm.rules import Rules, SfmOptions
+from torchrefrac.sfm.start import MIN_INITIAL_POINTS, rank_initial_pairs, start
+from torchrefrac.sfm.triangulate import triangulate
 from torchrefrac.sfm.verification import VerifiedPair
 
-MIN_INITIAL_POINTS = 12
 MOST_SHOWN = 10_000  # points of a cloud that is still growing
 GROWING = LevenbergMarquardtOptions(max_iterations=10, function_tolerance=1e-4)
 
@@ -32,167 +31,142 @@ class NoInitialPairError(TorchrefracError, RuntimeError):
 
 
 def reconstruct_sparse(
+    scene: Scene,
     capture: Capture,
-    tracks: Tracks,
     pairs: Sequence[VerifiedPair],
     initializer: PoseInitializer,
     options: SfmOptions,
     generator: torch.Generator,
     recorder: Recorder,
-) -> Reconstruction:
-    """Cameras and points from verified pairs and their tracks.
+) -> Scene:
+    """Views and points from verified pairs and the tracks of `scene`, in which nothing has a place yet.
 
-    Images that cannot be registered are listed in `failures` with the reason. Raises NoInitialPairError when there is
+    Views that cannot be registered are listed in `failures` with the reason. Raises NoInitialPairError when there is
     nothing to start from.
     """
-    growth = _Growth(capture, initializer, options, generator, recorder)
-    model = growth.start(pairs, tracks)
-    remaining = len(capture) - model.num_registered
-    for grown in recorder.track(growth.register_all(model), remaining, "registering", "image"):
-        model = grown
-    model = growth.finish(model)
+
+    def gravity(part: Part) -> Sequence[Term]:
+        """A prior where there is refraction to see the plane by."""
+        if scene.index_ratio <= 1.0:
+            return ()
+        return (GravityPrior(capture.down_in_cam[part.view], capture.down_sigma),)
+
+    growth = _Growth(options, options.rules(initializer, gravity, generator), recorder)
+    scene = growth.start(scene, pairs)
+    remaining = len(capture) - scene.views.num_registered
+    for grown in recorder.track(growth.register_all(scene), remaining, "registering", "image"):
+        scene = grown
+    scene = growth.finish(scene)
     with recorder.meter(1, "assessing", "") as advance:
-        model = fix_frame(model, capture)
-        growth.show(model)
-        assessment = assess_model(model, capture, options.bundle, growth.held)
+        scene = fix_frame(scene, capture)
+        growth.show(scene)
+        assessment = assess_scene(scene, growth.rules, growth.fixed)
         advance(1, "")
-    return replace(_to_reconstruction(model, capture, growth.failures), assessment=assessment)
+    return replace(scene, failures=growth.failures, assessment=assessment).trimmed()
 
 
 class _Growth:
-    """What all steps of one reconstruction share."""
+    """The order of the steps of one reconstruction, and what they share."""
 
-    def __init__(
-        self,
-        capture: Capture,
-        initializer: PoseInitializer,
-        options: SfmOptions,
-        generator: torch.Generator,
-        recorder: Recorder,
-    ) -> None:
-        self.capture = capture
-        self.initializer = initializer
-        self.options = options
-        self.generator = generator
-        self.recorder = recorder
+    def __init__(self, options: SfmOptions, rules: Rules, recorder: Recorder) -> None:
+        self.options, self.rules, self.recorder = options, rules, recorder
         self.failures: dict[str, str] = {}
-        self.held: dict[str, str] = {}
-        self._refused: dict[int, int] = {}  # images that could not be registered, and the points they saw then
+        self.fixed: dict[str, str] = {}
+        self._refused: dict[int, int] = {}  # views that could not be registered, and the points they saw then
         self._iterations, self._adjustments = count(), count()
 
-    def start(self, pairs: Sequence[VerifiedPair], tracks: Tracks) -> SparseModel:
+    def start(self, empty: Scene, pairs: Sequence[VerifiedPair]) -> Scene:
         for pair in rank_initial_pairs(pairs, self.options):
-            model = start_from_pair(pair, tracks, self.capture, self.initializer.index_ratio, self.options)
-            if int(model.has_point.sum()) < MIN_INITIAL_POINTS:
+            scene, outcome = start(empty, pair, self.rules)
+            if not outcome.done:
                 continue
-            model = self.adjust(model, GROWING)
-            if int(model.has_point.sum()) >= MIN_INITIAL_POINTS:
-                return model
+            scene = self.adjust(scene)
+            if int(scene.placed.sum()) >= MIN_INITIAL_POINTS:
+                return scene
         raise NoInitialPairError(
             f"none of {len(pairs)} image pairs has enough matches and angle to start from; "
             "take photographs that overlap more and are taken from further apart"
         )
 
-    def register_all(self, model: SparseModel) -> Iterator[SparseModel]:
-        """Yields the model after every image that could be registered."""
-        adjusted_at = model.num_registered
-        while True:
-            seen = visible_points(model)
-            seen[model.registered] = -1
-            for image, at in self._refused.items():
-                if seen[image] <= at:
-                    seen[image] = -1
-            best = int(seen.argmax())
-            if int(seen[best]) < 0:
-                return
-            number_seen = int(seen[best])
-            model, reason = register_image(model, best, self.initializer, self.options, self.generator)
-            name = self.capture.names[best]
-            if reason:
-                self._refused[best] = number_seen
-                self.failures[name] = reason
-                self.recorder.detail(f"{name} is not registered: {reason}")
+    def register_all(self, scene: Scene) -> Iterator[Scene]:
+        """Yields the scene after every view that could be registered."""
+        adjusted_at = scene.views.num_registered
+        while (view := self._next_view(scene)) is not None:
+            seen, name = int(visible_points(scene)[view]), scene.views.names[view]
+            scene, outcome = register(scene, view, self.rules)
+            if not outcome.done:
+                self._refused[view] = seen
+                self.failures[name] = str(outcome)
+                self.recorder.detail(f"{name} is not registered: {outcome}")
                 continue
             self.failures.pop(name, None)
-            agreeing = int((model.active & (model.tracks.image == best)).sum())
-            self.recorder.scalar("registration/inliers", agreeing, model.num_registered)
-            self.recorder.scalar("registration/inlier_ratio", agreeing / number_seen, model.num_registered)
-            model = triangulate_tracks(model, self.options)
-            if model.num_registered >= adjusted_at * self.options.global_growth:
-                model = self.adjust(model, GROWING)
-                adjusted_at = model.num_registered
-            self.recorder.scalar("registration/images", model.num_registered, model.num_registered)
-            self.recorder.scalar("registration/points", int(model.has_point.sum()), model.num_registered)
-            yield model
+            registered, agreeing = scene.views.num_registered, outcome.numbers["agreeing"]
+            self.recorder.scalar("registration/inliers", agreeing, registered)
+            self.recorder.scalar("registration/inlier_ratio", agreeing / seen, registered)
+            scene, _ = triangulate(scene, self.rules)
+            if registered >= adjusted_at * self.options.global_growth:
+                scene = self.adjust(scene)
+                adjusted_at = scene.views.num_registered
+            self.recorder.scalar("registration/images", scene.views.num_registered, scene.views.num_registered)
+            self.recorder.scalar("registration/points", int(scene.placed.sum()), scene.views.num_registered)
+            yield scene
 
-    def adjust(self, model: SparseModel, solver: LevenbergMarquardtOptions) -> SparseModel:
+    def _next_view(self, scene: Scene) -> int | None:
+        """The view that sees most points, of those that see more than when they were refused."""
+        seen = visible_points(scene)
+        seen[scene.views.registered] = -1
+        for view, at in self._refused.items():
+            if seen[view] <= at:
+                seen[view] = -1
+        best = int(seen.argmax())
+        return best if int(seen[best]) >= 0 else None
+
+    def adjust(self, scene: Scene) -> Scene:
         """Adjust, drop what no longer fits, and take in what now does."""
-        bundle = replace(self.options.bundle, solver=solver)
-        model, report = adjust_model(model, self.capture, bundle, self._record_step)
-        self._record_adjustment(model, report)
-        return triangulate_tracks(self._filter(model), self.options)
+        growing = replace(self.rules, bundle=replace(self.rules.bundle, solver=GROWING))
+        scene, outcome = adjust(scene, growing, self._record_step)
+        self._record(scene, outcome)
+        return triangulate(self._filter(scene, self.rules), self.rules)[0]
 
-    def finish(self, model: SparseModel) -> SparseModel:
-        """Adjust to convergence, with only the points that enough images see."""
-        min_length = affordable_length(model, self.options)
-        most = self.options.bundle.solver.max_iterations
+    def finish(self, scene: Scene) -> Scene:
+        """Adjust to convergence, with only the points that enough views see."""
+        length = affordable_length(scene, self.rules, self.options.min_track_length)
+        rules, most = replace(self.rules, min_track_length=length), self.rules.bundle.solver.max_iterations
         with self.recorder.meter(self.options.final_rounds * most, "adjusting", "") as advance:
             for _ in range(self.options.final_rounds):
-                model = self._filter(triangulate_tracks(model, self.options), min_length)
-                heard = Steps(self._record_step, most, advance)
-                model, report = adjust_model(model, self.capture, self.options.bundle, heard)
-                heard.end()
-                self._record_adjustment(model, report)
-                self.held = report.held
-        return self._filter(model, min_length)
+                scene = self._filter(triangulate(scene, rules)[0], rules)
+                steps = Steps(self._record_step, most, advance)
+                scene, outcome = adjust(scene, rules, steps)
+                steps.end()
+                self._record(scene, outcome)
+        return self._filter(scene, rules)
 
-    def _filter(self, model: SparseModel, min_length: int = 2) -> SparseModel:
-        """Drop points that do not fit, and images that are left with next to none."""
-        model, lost = drop_unsupported_images(filter_points(model, self.options, min_length))
-        if lost:
-            model = filter_points(model, self.options, min_length)
-        for image in lost:
-            self.failures[self.capture.names[image]] = "lost its points when all images were adjusted together"
-            self._refused[image] = int(visible_points(model)[image])
-        return model
+    def _filter(self, scene: Scene, rules: Rules) -> Scene:
+        """Drop points that do not fit, and views that are left with next to none."""
+        scene, outcome = filter_points(scene, rules)
+        for view in outcome.views:
+            self.failures[scene.views.names[view]] = "lost its points when all images were adjusted together"
+            self._refused[view] = int(visible_points(scene)[view])
+        return scene
 
     def _record_step(self, iteration: int, cost: float, damping: float) -> None:
         step = next(self._iterations)
         self.recorder.scalar("adjustment/cost", cost, step)
         self.recorder.scalar("adjustment/damping", damping, step)
 
-    def _record_adjustment(self, model: SparseModel, report: BundleReport) -> None:
+    def _record(self, scene: Scene, outcome: Outcome) -> None:
         """What an adjustment of everything has led to."""
-        self.recorder.detail(f"adjusted {model.num_registered} images: {report.summary()}")
-        self.show(model, MOST_SHOWN)
+        if outcome.report is not None:
+            self.fixed = outcome.report.fixed
+            self.recorder.detail(f"adjusted {scene.views.num_registered} images: {outcome.report.summary()}")
+        self.show(scene, MOST_SHOWN)
 
-    def show(self, model: SparseModel, most: int | None = None) -> None:
+    def show(self, scene: Scene, most: int | None = None) -> None:
         """Residuals and points (of which at most this many), where anyone wants to see them."""
         if not self.recorder.wants_pictures:
             return
-        step, tracks = next(self._adjustments), model.tracks
-        self.recorder.histogram("residuals/px", model.errors()[model.active], step)
-        ids = torch.unique_consecutive(tracks.track[model.active])
+        step = next(self._adjustments)
+        self.recorder.histogram("residuals/px", scene.errors()[scene.accepted], step)
+        ids = torch.unique_consecutive(scene.observations.point[scene.accepted])
         ids = ids[:: 1 if most is None else max(-(-len(ids) // most), 1)]
-        self.recorder.cloud("sparse", model.points[ids], tracks.mean_colors()[ids], step)
-
-
-def _to_reconstruction(model: SparseModel, capture: Capture, failures: dict[str, str]) -> Reconstruction:
-    tracks = model.tracks
-    rows = model.active.nonzero()[:, 0]
-    ids, point = torch.unique_consecutive(tracks.track[rows], return_inverse=True)
-    return Reconstruction(
-        names=capture.names,
-        registered=model.registered,
-        rotation=model.rotation,
-        center=model.center,
-        intrinsics=model.intrinsics,
-        index_ratio=float(model.index_ratio),
-        length_unit=capture.length_unit,
-        points=model.points[ids],
-        colors=tracks.mean_colors()[ids],
-        image=tracks.image[rows],
-        point=point,
-        pixels=tracks.pixels[rows],
-        failures=failures,
-    )
+        self.recorder.cloud("sparse", scene.points[ids], scene.colors[ids], step)

@@ -5,13 +5,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.geometry import level_rotation
+from torchrefrac.geometry import Rigid, level_rotation
 from torchrefrac.scene import Capture
 from torchrefrac.sfm.one_view import refine_pose
-from torchrefrac.sfm.options import SfmOptions
 from torchrefrac.sfm.pose import PairPose, Pose
+from torchrefrac.sfm.rules import SfmOptions
 from torchrefrac.sfm.two_view import refine_pair
 
 MIN_ESSENTIAL = 8
@@ -26,11 +27,14 @@ class PinholeInitializer:
     options: SfmOptions
 
     @property
-    def index_ratio(self) -> Tensor:
-        return torch.ones((), dtype=torch.float64)
+    def index_ratio(self) -> float:
+        return 1.0
 
     def relative(
-        self, images: tuple[int, int], pixels: tuple[Tensor, Tensor], generator: torch.Generator
+        self,
+        images: tuple[int, int],
+        pixels: tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]],
+        generator: torch.Generator,
     ) -> PairPose | None:
         if len(pixels[0]) < MIN_ESSENTIAL:
             return None
@@ -52,17 +56,17 @@ class PinholeInitializer:
         first = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
         baseline = -(cam1_from_world.T @ relative.T @ torch.from_numpy(translation[:, 0]))
         return refine_pair(
-            torch.stack((cam1_from_world, relative @ cam1_from_world)),
-            torch.stack((first, first + baseline)),
+            Rigid(torch.stack((cam1_from_world, relative @ cam1_from_world)), torch.stack((first, first + baseline))),
             pixels,
             inliers,
             intrinsics,
-            self.index_ratio,
             self.options.bundle,
             self.options.ransac.max_error,
         )
 
-    def absolute(self, image: int, pixels: Tensor, points: Tensor, generator: torch.Generator) -> Pose | None:
+    def absolute(
+        self, image: int, pixels: Float[Tensor, "k 2"], points: Float[Tensor, "k 3"], generator: torch.Generator
+    ) -> Pose | None:
         if len(pixels) < MIN_PNP:
             return None
         self._seed(generator)
@@ -85,7 +89,7 @@ class PinholeInitializer:
         inliers = torch.zeros(len(pixels), dtype=torch.bool)
         inliers[torch.from_numpy(rows[:, 0]).long()] = True
         pose = Pose(rotation, center, inliers)
-        return refine_pose(pose, pixels, points, intrinsics, self.index_ratio, self.options)
+        return refine_pose(pose, pixels, points, intrinsics, self.options.bundle, self.options.ransac.max_error)
 
     @staticmethod
     def _seed(generator: torch.Generator) -> None:

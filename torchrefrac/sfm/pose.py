@@ -1,29 +1,30 @@
-"""What an initialiser must be able to do: the pose of a pair, and of one more image."""
+"""What an initialiser must be able to do: the pose of a pair, and of one more view."""
 
 from dataclasses import dataclass
 from typing import Protocol
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pose:
-    """cam_from_world rotation (3, 3), center in the world (3), and which data agree (N)."""
+    """cam_from_world, and which data agree."""
 
-    rotation: Tensor
-    center: Tensor
-    inliers: Tensor
+    rotation: Float[Tensor, "3 3"]
+    center: Float[Tensor, "3"]
+    inliers: Bool[Tensor, " k"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PairPose:
-    """Two cameras in a frame of their own: rotation (2, 3, 3), center (2, 3); inliers (N), and the median angle
-    (radians) between their rays. Without a pose where the inliers agree on one but do not determine it."""
+    """Two cameras in a frame of their own, which matches agree, and the median angle (radians) between their rays.
+    Without a pose where the inliers agree on one but do not determine it."""
 
-    rotation: Tensor | None
-    center: Tensor | None
-    inliers: Tensor
+    rotation: Float[Tensor, "2 3 3"] | None
+    center: Float[Tensor, "2 3"] | None
+    inliers: Bool[Tensor, " k"]
     median_angle: float
 
 
@@ -31,16 +32,21 @@ class PoseInitializer(Protocol):
     """Finds poses without a starting value; None where the data do not carry one."""
 
     @property
-    def index_ratio(self) -> Tensor:
-        """Scalar float64; 1 where the initialiser knows no refraction."""
+    def index_ratio(self) -> float:
+        """n_water / n_air; 1 where the initialiser knows no refraction."""
         ...
 
     def relative(
-        self, images: tuple[int, int], pixels: tuple[Tensor, Tensor], generator: torch.Generator
+        self,
+        images: tuple[int, int],
+        pixels: tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]],
+        generator: torch.Generator,
     ) -> PairPose | None:
-        """Pose of two images from matched pixels (N, 2) each."""
+        """Pose of two images from matched pixels."""
         ...
 
-    def absolute(self, image: int, pixels: Tensor, points: Tensor, generator: torch.Generator) -> Pose | None:
-        """Pose of an image that sees known points (N, 3) at pixels (N, 2)."""
+    def absolute(
+        self, image: int, pixels: Float[Tensor, "k 2"], points: Float[Tensor, "k 3"], generator: torch.Generator
+    ) -> Pose | None:
+        """Pose of an image that sees known points at these pixels."""
         ...

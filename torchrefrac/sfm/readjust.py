@@ -1,197 +1,191 @@
-"""An existing alignment, made with or without refraction, adjusted anew with the water in it."""
+"""The other order of the verbs: a scene that was reconstructed, with or without refraction, adjusted with the water."""
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import count
-from typing import Literal
 
 import torch
+from jaxtyping import Bool
 from torch import Tensor
 
-from torchrefrac.bundle import BundleOptions, BundleReport, UnadjustableError, adjust, check_inputs
-from torchrefrac.checks import require
-from torchrefrac.files.water import Water
-from torchrefrac.optim import LevenbergMarquardtOptions
+from torchrefrac.bundle import BundleOptions, Term, UnadjustableError, check_inputs
 from torchrefrac.recorder import Advance, Recorder, SilentRecorder
-from torchrefrac.scene import Alignment, Survey
-from torchrefrac.sfm.adjustment import Steps
-from torchrefrac.sfm.block import Block
-from torchrefrac.sfm.filtering import MIN_OBSERVATIONS
-from torchrefrac.sfm.marks import check_vertical, known_marks, survey_terms, with_marks
-from torchrefrac.sfm.readjusted import Readjusted
+from torchrefrac.scene import Part, Scene, Survey
+from torchrefrac.sfm.adjust import Steps, adjust
+from torchrefrac.sfm.assessment import assess
+from torchrefrac.sfm.control import check_vertical, known_control, survey_terms, with_control
+from torchrefrac.sfm.filter_points import filter_points
+from torchrefrac.sfm.outcome import Outcome
+from torchrefrac.sfm.rules import ReadjustOptions
+from torchrefrac.sfm.triangulate import triangulate
 
 MOST_SHOWN = 50_000  # points of a cloud for the recorder
 GENEROUS = 3.0  # what an error may be, in medians of all, while poses may still be far off
-FIRST = ("plane_tilt", "plane_height")  # may vary at once; lenses and index ratio would take up the errors of the poses
-
-
-@dataclass(frozen=True)
-class ReadjustOptions:
-    """max_error: of an observation that is kept, pixels. rounds: of dropping observations and adjusting again. held:
-    "cameras" keeps the poses as they are."""
-
-    held: Literal["none", "cameras"] = "none"
-    max_error: float = 4.0
-    rounds: int = 3
-    bundle: BundleOptions = field(
-        default_factory=lambda: BundleOptions(
-            loss_scale=0.5, pixel_sigma=0.5, solver=LevenbergMarquardtOptions(max_iterations=100)
-        )
-    )
-
-    def __post_init__(self) -> None:
-        require(self.max_error, "max_error", above=0.0)
-        require(self.rounds, "rounds", at_least=1)
+FIRST = ("plane_tilt", "plane_height")  # may vary at once; intrinsics and index ratio would take up errors of the poses
 
 
 def readjust(
-    alignment: Alignment,
-    water: Water,
+    scene: Scene,
     survey: Survey | None = None,
     options: ReadjustOptions | None = None,
     recorder: Recorder | None = None,
-) -> Readjusted:
-    """Adjust `alignment` with refraction at the planes of `water` and the measurements of `survey`.
+) -> tuple[Scene, Outcome]:
+    """Adjust `scene` with refraction at its interfaces and the measurements of `survey`.
 
-    Points are triangulated anew through the water: those given may be of a reconstruction without refraction. A first
-    adjustment, in which large errors count little, takes in everything and holds index ratio and lenses. Then
+    Points are triangulated through the water: those given may be of a reconstruction without refraction. A first
+    adjustment, in which large errors count little, takes in everything and leaves index ratio and intrinsics. Then
     observations that do not fit are dropped, points that could not be placed are tried again, and everything is
     adjusted, up to `options.rounds` times. What nothing fixes of the frame stays as near to the given one as the data
     allow.
 
+    The ground control points of the survey are the last points of the result (placed where they fit); views and
+    points that do not fit the rest are still in it, not registered and not placed. The numbers of the outcome are
+    "not_triangulated", of points at the given poses, and "median_before", the reprojection error there (pixels).
+
     Raises UnadjustableError, with the names of the images, for cameras below the water and for images that no common
     points connect, at the start or among what fits; SurveyError where gravity is measured and z does not point up.
     """
-    work = Work(alignment, survey or Survey.empty(alignment.names), options or ReadjustOptions(), recorder)
+    work = Work(scene, survey or Survey.empty(scene.views.names), options or ReadjustOptions(), recorder)
     with work.recorder.meter(1, "placing", "") as advance:
-        start = work.start(water)
+        first = work.start(scene)
+        before = first.errors()
         advance(1, "")
-    block, report = work.adjust_all(start)
+    adjusted, outcome = work.adjust_all(first)
     with work.recorder.meter(1, "assessing", "") as advance:
-        result = Readjusted.of(alignment, work.survey, start, block, report)
+        assert outcome.report is not None
+        report, ties = outcome.report, adjusted.placed[: work.ties]
+        assessment = assess(report.problem, report.scene, report.fixed, int(ties.sum()))
         advance(1, "")
-    return result
+    numbers = {
+        "not_triangulated": int((~first.placed[: work.ties]).sum()),
+        "median_before": float(before[before.isfinite()].median()),
+    }
+    return replace(adjusted, assessment=assessment), replace(outcome, numbers=numbers)
 
 
 class Work:
     """The steps of one adjustment, and what they share."""
 
     def __init__(
-        self, alignment: Alignment, survey: Survey, options: ReadjustOptions, recorder: Recorder | None = None
+        self, scene: Scene, survey: Survey, options: ReadjustOptions, recorder: Recorder | None = None
     ) -> None:
-        if len(alignment) < 2:
-            raise UnadjustableError(f"the alignment has {len(alignment)} image(s), but an adjustment needs two")
-        check_vertical(alignment, survey)
-        self.alignment, self.survey, self.options = alignment, survey, options
+        if len(scene.views) < 2:
+            raise UnadjustableError(f"the reconstruction has {len(scene.views)} image(s), but an adjustment needs two")
+        check_vertical(scene, survey)
+        self.survey, self.options, self.ties = survey, options, len(scene.points)
         self.recorder = recorder or SilentRecorder()
+        self.known = torch.cat((torch.zeros(self.ties, dtype=torch.bool), known_control(survey)))
+        self.rules = options.rules(self._measured, 2 - self.known.long())
         self._iterations, self._adjustments = count(), count()
 
-    @property
-    def ties(self) -> int:
-        """How many points are not marks."""
-        return len(self.alignment.points)
-
-    def start(self, water: Water) -> Block:
-        """All images; points triangulated through the water at their poses."""
-        known = torch.cat((torch.zeros(self.ties, dtype=torch.bool), known_marks(self.survey)))
-        block = Block.of(with_marks(self.alignment, self.survey), water, least=2 - known.long())
-        self._check(replace(block, placed=torch.ones_like(block.placed)))
-        block = block.with_places(~block.placed, self.options.bundle.pixel_sigma, self.options.max_error)
-        block = replace(block, placed=block.placed | known).within(torch.inf)
-        if not bool(block.active.any()):
+    def start(self, scene: Scene) -> Scene:
+        """All views; points triangulated through the water at their poses, and ground control points after them."""
+        scene = with_control(scene, self.survey)
+        self._check(replace(scene, placed=torch.ones_like(scene.placed), accepted=torch.ones_like(scene.accepted)))
+        everything = replace(self.rules, max_error=torch.inf, min_support=0)
+        scene, _ = triangulate(scene, everything, torch.ones_like(scene.placed))
+        scene, _ = filter_points(replace(scene, placed=scene.placed | self.known), everything)
+        if not bool(scene.accepted.any()):
             raise UnadjustableError(
                 f"none of {self.ties} points can be triangulated through the water; the planes must be given in the "
-                "frame of the alignment"
+                "frame of the reconstruction"
             )
-        return block
+        return scene
 
-    def adjust_all(self, block: Block) -> tuple[Block, BundleReport]:
+    def adjust_all(self, scene: Scene) -> tuple[Scene, Outcome]:
         """The first adjustment, and all rounds after it."""
         options = self.options
-        self._tell_dry(block)
+        self._note_dry(scene)
         most = options.bundle.solver.max_iterations
         with self.recorder.meter((1 + options.rounds) * most, "adjusting", "") as advance:
-            block, report = self.adjust(block, self.first(block), advance)
-            support = 0 if options.held == "cameras" else MIN_OBSERVATIONS
+            scene, outcome = self.adjust(scene, self.first(scene), advance)
             for i in range(options.rounds):
-                before, limit = block, options.max_error if i == options.rounds - 1 else self._generous(block)
-                anew = block.doubtful(limit)
-                anew[self.ties :] &= ~block.placed[self.ties :]  # a mark is where measurements have it
-                block = block.with_places(anew, options.bundle.pixel_sigma, options.max_error, limit)
-                block = block.within(limit, support)
-                if i == 0 or report.status != "converged" or not block.same_parts_as(before):
-                    block, report = self.adjust(block, options.bundle, advance)
+                before, limit = scene, options.max_error if i == options.rounds - 1 else self._generous(scene)
+                rules = replace(self.rules, max_error=limit)
+                doubtful = self._doubtful(scene, limit)
+                doubtful[self.ties :] &= ~scene.placed[self.ties :]  # control points are where measurements have them
+                scene, _ = triangulate(scene, rules, doubtful)
+                scene, _ = filter_points(scene, rules)
+                if i == 0 or not outcome.done or not _same_parts(scene, before):
+                    scene, outcome = self.adjust(scene, options.bundle, advance)
                 else:
                     advance(most, "")
-        return block, report
+        return scene, outcome
 
-    def first(self, block: Block) -> BundleOptions:
+    def first(self, scene: Scene) -> BundleOptions:
         """How the first adjustment is done."""
         refine = tuple(name for name in self.options.bundle.refine if name in FIRST)
-        return replace(self.options.bundle, loss="cauchy", loss_scale=self._generous(block), refine=refine)
+        return replace(self.options.bundle, loss="cauchy", loss_scale=self._generous(scene), refine=refine)
 
-    def adjust(self, block: Block, bundle: BundleOptions, advance: Advance | None = None) -> tuple[Block, BundleReport]:
+    def adjust(self, scene: Scene, bundle: BundleOptions, advance: Advance | None = None) -> tuple[Scene, Outcome]:
         """All that takes part. `advance` moves a meter, in all by the number of iterations that there may be."""
-        self._check(block)
-        heard = Steps(self._record_step, bundle.solver.max_iterations, advance or (lambda count, text: None))
-        selection = block.select()
-        image, mark = _slots(block.images, selection.image), _slots(block.placed, selection.point)[self.ties :]
-        report = adjust(
-            selection.state,
-            selection.seen,
-            bundle,
-            links=selection.links,
-            terms=survey_terms(self.survey, image, mark, block.links.plane),
-            held=self._held(len(selection.image)),
-            check=False,
-            callback=heard,
-        )
-        heard.end()
-        block = block.with_state(report.state, selection)
-        self._record(block, report)
-        return block, report
+        self._check(scene)
+        steps = Steps(self._record_step, bundle.solver.max_iterations, advance or (lambda count, text: None))
+        scene, outcome = adjust(scene, replace(self.rules, bundle=bundle), steps)
+        steps.end()
+        self._record(scene, outcome)
+        return scene, outcome
+
+    def _measured(self, part: Part) -> Sequence[Term]:
+        return survey_terms(self.survey, part, self.ties)
 
     def _record_step(self, iteration: int, cost: float, damping: float) -> None:
         step = next(self._iterations)
         self.recorder.scalar("adjustment/cost", cost, step)
         self.recorder.scalar("adjustment/damping", damping, step)
 
-    def _record(self, block: Block, report: BundleReport) -> None:
+    def _record(self, scene: Scene, outcome: Outcome) -> None:
         """What an adjustment has led to."""
-        self.recorder.detail(f"adjusted {int(block.images.sum())} images: {report.summary()}")
-        step, ties = next(self._adjustments), block.placed[: self.ties].nonzero()[:, 0]
-        self.recorder.scalar("adjustment/images", int(block.images.sum()), step)
+        registered, report = scene.views.num_registered, outcome.report
+        self.recorder.detail(f"adjusted {registered} images: {report.summary() if report else outcome}")
+        step, ties = next(self._adjustments), scene.placed[: self.ties].nonzero()[:, 0]
+        self.recorder.scalar("adjustment/images", registered, step)
         self.recorder.scalar("adjustment/points", len(ties), step)
         if not self.recorder.wants_pictures:
             return
-        self.recorder.histogram("residuals/px", block.errors()[block.active], step)
+        self.recorder.histogram("residuals/px", scene.errors()[scene.accepted], step)
         ties = ties[:: max(-(-len(ties) // MOST_SHOWN), 1)]
-        self.recorder.cloud("points", block.state.points[ties], self.alignment.colors[ties], step)
+        self.recorder.cloud("points", scene.points[ties], scene.colors[ties], step)
 
-    def _check(self, block: Block) -> None:
-        """Refuse what cannot be adjusted. A mark that a single image sees does no harm, but ties nothing."""
-        shared = block.shared()
-        names = [self.alignment.names[i] for i in shared.image.tolist()]
-        check_inputs(shared.state, shared.seen, shared.links, self._held(len(names)), names)
+    def _check(self, scene: Scene) -> None:
+        """Refuse what cannot be adjusted. A control point that a single view sees does no harm, but ties nothing."""
+        shared = scene.part(min_observations=2).scene
+        fixed = torch.ones(len(shared.views), 6, dtype=torch.bool) if self.rules.fixed_poses else None
+        check_inputs(shared, fixed)
 
-    def _held(self, cameras: int) -> Tensor | None:
-        return torch.ones(cameras, 6, dtype=torch.bool) if self.options.held == "cameras" else None
-
-    def _generous(self, block: Block) -> float:
-        error = block.errors()[block.active]
+    def _generous(self, scene: Scene) -> float:
+        error = scene.errors()[scene.accepted]
         return max(self.options.max_error, GENEROUS * float(error[error.isfinite()].median()))
 
-    def _tell_dry(self, block: Block) -> None:
-        ties = block.placed[: self.ties]
-        dry = int((block.above_water()[: self.ties] & ties).sum())
-        if 2 * dry > int(ties.sum()) and float(block.state.index_ratio) > 1.0:
+    def _doubtful(self, scene: Scene, limit: float) -> Bool[Tensor, " n"]:
+        """Points without a position, or with an error above the limit in a registered view."""
+        seen = scene.observations
+        beyond = scene.views.registered[seen.view] & (scene.errors() >= limit)
+        return ~scene.placed | (torch.bincount(seen.point[beyond], minlength=len(scene.points)) > 0)
+
+    def _note_dry(self, scene: Scene) -> None:
+        ties = scene.placed[: self.ties]
+        dry = int((_above_water(scene)[: self.ties] & ties).sum())
+        if 2 * dry > int(ties.sum()) and scene.index_ratio > 1.0:
             self.recorder.note(
                 f"{dry} of {int(ties.sum())} points lie above the water, where nothing refracts: is the plane given "
-                "in the frame of the alignment?"
+                "in the frame of the reconstruction?"
             )
 
 
-def _slots(mask: Tensor, ids: Tensor) -> Tensor:
-    """The number among `ids` of each element of the mask; -1 for those that are not there."""
-    slots = torch.full(mask.shape, -1, dtype=torch.long)
-    slots[ids] = torch.arange(len(ids))
-    return slots
+def _above_water(scene: Scene) -> Bool[Tensor, " n"]:
+    """Points above the surface that the first view with an observation of them looks through."""
+    seen = scene.observations
+    first = torch.searchsorted(seen.point, torch.arange(len(scene.points))).clamp(max=len(seen) - 1)
+    interface = scene.views.interface[seen.view[first]]
+    return scene.interfaces.planes.indexed(interface, (len(scene.interfaces),)).signed_distance(scene.points) > 0.0
+
+
+def _same_parts(scene: Scene, other: Scene) -> bool:
+    """Whether the same views, points and observations take part."""
+    pairs = (
+        (scene.views.registered, other.views.registered),
+        (scene.placed, other.placed),
+        (scene.accepted, other.accepted),
+    )
+    return all(torch.equal(mine, its) for mine, its in pairs)

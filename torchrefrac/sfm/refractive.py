@@ -3,14 +3,15 @@
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.geometry import level_rotation
+from torchrefrac.geometry import Rigid, level_rotation
 from torchrefrac.ransac import AbsolutePoseEstimator, RelativePoseEstimator, ransac
 from torchrefrac.refinement import OneView, TwoViews
 from torchrefrac.scene import Capture
-from torchrefrac.sfm.options import SfmOptions
 from torchrefrac.sfm.pose import PairPose, Pose
+from torchrefrac.sfm.rules import SfmOptions
 from torchrefrac.sfm.two_view import judge_pair
 
 
@@ -19,18 +20,21 @@ class RefractiveInitializer:
     """LO-MSAC over the solvers with known vertical; the optimisation in it has gravity as a prior."""
 
     capture: Capture
-    index_ratio: Tensor
+    index_ratio: float
     options: SfmOptions
 
     def relative(
-        self, images: tuple[int, int], pixels: tuple[Tensor, Tensor], generator: torch.Generator
+        self,
+        images: tuple[int, int],
+        pixels: tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]],
+        generator: torch.Generator,
     ) -> PairPose | None:
         intrinsics = self.capture.intrinsics
         views = TwoViews(
             *(intrinsics.plane_from_pixels(p) for p in pixels),
             cam_from_level=level_rotation(self.capture.down_in_cam[list(images)]),
             focal=intrinsics.focal,
-            index_ratio=self.index_ratio,
+            index_ratio=self._ratio,
             gravity_sigma=self.capture.down_sigma,
             pixel_sigma=self.options.bundle.pixel_sigma,
         )
@@ -40,16 +44,18 @@ class RefractiveInitializer:
         if report.status != "success":
             return None
         rotation, center = (part[0] for part in views.poses(report.model[None]))
-        return judge_pair(rotation, center, pixels, intrinsics, self.index_ratio, self.options.ransac.max_error)
+        return judge_pair(Rigid(rotation, center), pixels, intrinsics, self._ratio, self.options.ransac.max_error)
 
-    def absolute(self, image: int, pixels: Tensor, points: Tensor, generator: torch.Generator) -> Pose | None:
+    def absolute(
+        self, image: int, pixels: Float[Tensor, "k 2"], points: Float[Tensor, "k 3"], generator: torch.Generator
+    ) -> Pose | None:
         intrinsics = self.capture.intrinsics
         view = OneView(
             intrinsics.plane_from_pixels(pixels),
             points,
             cam_from_level=level_rotation(self.capture.down_in_cam[image]),
             focal=intrinsics.focal,
-            index_ratio=self.index_ratio,
+            index_ratio=self._ratio,
             gravity_sigma=self.capture.down_sigma,
             pixel_sigma=self.options.bundle.pixel_sigma,
         )
@@ -58,3 +64,7 @@ class RefractiveInitializer:
             return None
         rotation, center = (part[0] for part in view.poses(report.model[None]))
         return Pose(rotation, center, report.inliers)
+
+    @property
+    def _ratio(self) -> Float[Tensor, ""]:
+        return torch.tensor(self.index_ratio, dtype=torch.float64)

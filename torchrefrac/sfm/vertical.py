@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchrefrac.checks import TorchrefracError
@@ -19,7 +20,7 @@ from torchrefrac.features import Features, PairMatches
 from torchrefrac.geometry import rotate
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture
-from torchrefrac.sfm.options import SfmOptions
+from torchrefrac.sfm.rules import SfmOptions
 from torchrefrac.sfm.unknown_vertical import find_verticals, pinhole_rotation
 
 PAIRS_PER_IMAGE = 3
@@ -35,13 +36,13 @@ class UnknownVerticalError(TorchrefracError, RuntimeError):
     """No pair of images shows which way is down."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Estimates:
-    """Verticals from single pairs: of `image` (E), down_in_cam (E, 3), sigma (E) in radians."""
+    """Verticals from single pairs: of which image, and how uncertain in radians."""
 
-    image: Tensor
-    down_in_cam: Tensor
-    sigma: Tensor
+    image: Int[Tensor, " e"]
+    down_in_cam: Float[Tensor, "e 3"]
+    sigma: Float[Tensor, " e"]
 
 
 def level_capture(
@@ -119,9 +120,11 @@ def _from_pairs(
     return _Estimates(torch.tensor(image, dtype=torch.long), torch.cat(down), torch.cat(sigma)), detail
 
 
-def _mean(down: Tensor, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean (3) of the verticals (k, 3) of one image that agree with the one that most agree with, its sigma, and the
-    scatter of those about it.
+def _mean(
+    down: Float[Tensor, "k 3"], sigma: Float[Tensor, " k"]
+) -> tuple[Float[Tensor, "3"], Float[Tensor, ""], Float[Tensor, ""]]:
+    """Mean of the verticals of one image that agree with the one that most agree with, its sigma, and the scatter of
+    those about it.
 
     Where no majority agrees the most certain one is taken, as uncertain as a pinhole leaves it.
     """
@@ -129,10 +132,10 @@ def _mean(down: Tensor, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     apart = _angle(down[:, None], down).square() / (variance[:, None] + variance)
     central = (apart.clamp(max=FAR).sum(dim=-1) + 0.1 * variance / variance.amax()).argmin()
     weight = torch.where(apart[central] < FAR, 1.0 / variance, 0.0)
-    kept, total = int((weight > 0.0).sum()), weight.sum()
+    agreeing, total = int((weight > 0.0).sum()), weight.sum()
     mean = torch.nn.functional.normalize((weight[:, None] * down).sum(dim=0), dim=0)
-    spread = (weight * _angle(down, mean).square()).sum() / total * (kept / max(kept - 1, 1))
-    alone = 2 * kept <= len(down)
+    spread = (weight * _angle(down, mean).square()).sum() / total * (agreeing / max(agreeing - 1, 1))
+    alone = 2 * agreeing <= len(down)
     return mean, torch.where(torch.tensor(alone), PINHOLE_SIGMA, total.rsqrt()), spread.sqrt()
 
 
@@ -141,10 +144,10 @@ def _carry_over(
     pairs: Sequence[PairMatches],
     features: Sequence[Features],
     options: SfmOptions,
-    down: Tensor,
-    sigma: Tensor,
+    down: Float[Tensor, "m 3"],
+    sigma: Float[Tensor, " m"],
 ) -> None:
-    """Fill in, from image to image, the verticals (m, 3) whose sigma (m) is infinite, by the first pairs that can."""
+    """Fill in, from image to image, the verticals whose sigma is infinite, by the first pairs that can."""
     left = list(pairs)
     threshold = options.ransac.max_error / float(capture.intrinsics.focal.mean())
     while bridges := [pair for pair in left if sigma[[pair.first, pair.second]].isinf().sum() == 1]:
@@ -160,17 +163,19 @@ def _carry_over(
         sigma[other] = torch.hypot(sigma[known], torch.as_tensor(PINHOLE_SIGMA, dtype=sigma.dtype))
 
 
-def _planes(capture: Capture, features: Sequence[Features], pair: PairMatches) -> tuple[Tensor, Tensor]:
-    """Ideal image coordinates (N, 2) of the matches in both images."""
+def _planes(
+    capture: Capture, features: Sequence[Features], pair: PairMatches
+) -> tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]]:
+    """Ideal image coordinates of the matches in both images."""
     one, two = (features[i].pixels[pair.matches[:, k]] for k, i in enumerate((pair.first, pair.second)))
     return capture.intrinsics.plane_from_pixels(one), capture.intrinsics.plane_from_pixels(two)
 
 
-def _angle(one: Tensor, two: Tensor) -> Tensor:
-    """Angle (*B) between unit vectors (*B, 3)."""
+def _angle(one: Float[Tensor, "*#batch 3"], two: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch"]:
+    """Angle between unit vectors."""
     one, two = torch.broadcast_tensors(one, two)
     return torch.atan2(torch.linalg.cross(one, two).norm(dim=-1), (one * two).sum(dim=-1))
 
 
-def _rms(values: Tensor) -> Tensor:
+def _rms(values: Float[Tensor, " k"]) -> Float[Tensor, ""]:
     return values.square().mean().sqrt()

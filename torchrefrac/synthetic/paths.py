@@ -39,7 +39,7 @@ def look_at(
 
 def ring(
     images: int, radius: float | tuple[float, float], heights: Sequence[float], sector_deg: tuple[float, float]
-) -> Float[Tensor, "{images} 3"]:
+) -> Float[Tensor, "images 3"]:
     """Centres on a circle, or an ellipse with two radii, about the z axis, at `heights` in turn.
 
     They divide the sector (degrees, from +x towards +y) evenly; one of 360 degrees is not closed twice.
@@ -54,7 +54,7 @@ def ring(
     return torch.stack((across * angle.cos(), along * angle.sin(), level), dim=-1)
 
 
-def grid(columns: int, rows: int, spacing: tuple[float, float], height: float) -> Float[Tensor, "{columns}*{rows} 3"]:
+def grid(columns: int, rows: int, spacing: tuple[float, float], height: float) -> Float[Tensor, "images 3"]:
     """Centres of a grid about the z axis, flown row by row, to and fro."""
     x = spacing[0] * (torch.arange(columns, dtype=torch.float64) - 0.5 * (columns - 1))
     y = spacing[1] * (torch.arange(rows, dtype=torch.float64) - 0.5 * (rows - 1))
@@ -63,7 +63,7 @@ def grid(columns: int, rows: int, spacing: tuple[float, float], height: float) -
     return torch.cat((flown, torch.full_like(flown[:, :1], height)), dim=-1)
 
 
-def rolls(images: int, most_deg: float) -> Float[Tensor, " {images}"]:
+def rolls(images: int, most_deg: float) -> Float[Tensor, " images"]:
     """Angles, radians, that vary as of a camera held in the hand, up to `most_deg` either way."""
     step = torch.arange(images, dtype=torch.float64)
     return math.radians(most_deg) * (2.4 * step + 0.7).sin()

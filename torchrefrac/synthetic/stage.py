@@ -34,10 +34,10 @@ class Piece:
 class Stage:
     """What a scene consists of, before any light.
 
-    World: z up, the water surface z = 0, lengths in length_unit. rotation cam_from_world and center of the cameras along
-    their path. Surfaces get their colours times `ambient` + `direct` * |normal . towards_light|. position_sigma: standard
-    deviation of a coordinate of a camera's satellite position; None: there is none. background: grey value where a ray
-    meets nothing.
+    World: z up, the water surface z = 0, lengths in length_unit. rotation cam_from_world and center of the cameras
+    along their path. Surfaces get their colours times `ambient` + `direct` * |normal . towards_light|. position_sigma:
+    standard deviation of a coordinate of a camera's satellite position; None: there is none. background: grey value
+    where a ray meets nothing.
     """
 
     pieces: tuple[Piece, ...]

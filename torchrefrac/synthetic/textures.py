@@ -76,7 +76,7 @@ class VertexColours:
         return (weights[..., None] * self.colours[face.long()]).sum(dim=1)
 
 
-def corner_uv(faces: int) -> Float[Tensor, "3*{faces} 2"]:
+def corner_uv(faces: int) -> Float[Tensor, "vertices 2"]:
     """Texture coordinates of a mesh whose faces share no vertices: they tell the face, and the
     place in it."""
     first = 2.0 * torch.arange(faces, dtype=torch.float64) + 0.5

@@ -96,6 +96,7 @@ def fit_planes(
     y, x = torch.meshgrid(offset, offset, indexing="ij")
     moments = torch.stack((torch.ones_like(x), x, y, x * x, x * y, y * y)).flatten(1)
     plane = torch.stack((middle, torch.zeros_like(middle), torch.zeros_like(middle)))
+    weight = present.to(values)
     for _ in range(ROUNDS):
         off = (values - moments[:3].T @ plane) / SCALE
         weight = torch.where(present, (1.0 + off.square()).square().reciprocal(), 0.0)

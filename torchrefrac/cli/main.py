@@ -1,0 +1,34 @@
+"""Which command runs, and what its exit status is."""
+
+import sys
+from collections.abc import Callable
+
+from hydra.core.utils import env_override
+
+from hydra_plugins.torchrefrac_sweeper.messages import COMPOSITION_ERRORS
+from torchrefrac.cli.arguments import for_hydra, typed
+from torchrefrac.cli.commands import adjust, densify, reconstruct
+from torchrefrac.cli.failures import failed, tell
+from torchrefrac.sweeps.folder import SweepError
+
+INTERRUPTED = 130
+OTHERS: dict[str, Callable[[], None]] = {"adjust": adjust, "densify": densify}
+
+
+def main() -> None:
+    """Run the command that is in sys.argv; exits with 1 where a job failed, 130 where it was interrupted."""
+    failed.clear()
+    typed[:] = sys.argv[1:]
+    program, given = sys.argv[0], for_hydra(typed)
+    command = OTHERS.get(given[0]) if given else None
+    sys.argv = [program, *given] if command is None else [program, *given[1:]]  # what is left is Hydra's
+    try:
+        with env_override({"HYDRA_FULL_ERROR": "1"}):  # Hydra raises what it would else print in many lines
+            (command or reconstruct)()
+    except KeyboardInterrupt:
+        print("interrupted; the files of the finished stages are in the run folder", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    except (*COMPOSITION_ERRORS, SweepError, OSError) as error:
+        tell(error)
+    if failed:
+        sys.exit(1)

@@ -1,0 +1,102 @@
+"""A survey in the adjustment of a scene: ground control becomes points, measurements become terms."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor
+
+from torchrefrac.bundle import CenterPrior, GravityPrior, HeightPrior, KnownPoints, ScaleBars, Term, Waterline
+from torchrefrac.scene import Observations, Part, Scene, Survey, SurveyError
+
+MAX_DISAGREEMENT_DEG = 45.0
+
+
+def with_control(scene: Scene, survey: Survey) -> Scene:
+    """The ground control points of the survey are the last points, white, at the origin where no position is known."""
+    seen, count, k = scene.observations, len(scene.points), len(survey.control_names)
+    positions = scene.points.new_zeros(k, 3)
+    positions[survey.known_control] = survey.known_position
+    return replace(
+        scene,
+        points=torch.cat((scene.points, positions)),
+        colors=torch.cat((scene.colors, scene.colors.new_full((k, 3), 255))),
+        placed=torch.cat((scene.placed, scene.placed.new_zeros(k))),
+        observations=Observations(
+            torch.cat((seen.view, survey.control_image)),
+            torch.cat((seen.point, count + survey.control)),
+            torch.cat((seen.pixels, survey.control_pixels)),
+        ),
+        accepted=torch.cat((scene.accepted, scene.accepted.new_zeros(len(survey.control)))),
+    )
+
+
+def known_control(survey: Survey) -> Bool[Tensor, " k"]:
+    """Which ground control points have a known position."""
+    known = torch.zeros(len(survey.control_names), dtype=torch.bool)
+    known[survey.known_control] = True
+    return known
+
+
+def check_vertical(scene: Scene, survey: Survey) -> None:
+    """Raise SurveyError where measured gravity is nowhere near the negative z axis of the scene."""
+    if not len(survey.down_image):
+        return
+    predicted = -scene.views.rotation[survey.down_image][:, :, 2]
+    angle = (predicted * survey.down_in_cam).sum(dim=-1).clamp(-1.0, 1.0).acos().rad2deg().median()
+    if float(angle) > MAX_DISAGREEMENT_DEG:
+        raise SurveyError(
+            f"down_in_cam of the survey and the z axis of the reconstruction disagree by {float(angle):.0f} degrees "
+            "(median of the images), but z must point up where gravity is used; level the reconstruction first"
+        )
+
+
+def survey_terms(survey: Survey, part: Part, ties: int) -> Sequence[Term]:
+    """The measurements as terms of the adjustment of a part of a scene, whose points after the first `ties` are the
+    ground control points.
+
+    Measurements of what does not take part are left out. A control point on the waterline lies in the surface of the
+    first view that shows it.
+    """
+    image_slot = _slots(part.view, len(survey.names))
+    control_slot = _slots(part.point, ties + len(survey.control_names))[ties:]
+    down, height, center = (
+        _present(image_slot, rows) for rows in (survey.down_image, survey.height_image, survey.center_image)
+    )
+    known, waterline = _present(control_slot, survey.known_control), _present(control_slot, survey.waterline_control)
+    bars = (control_slot[survey.bar_from] >= 0) & (control_slot[survey.bar_to] >= 0)
+    terms: list[Term] = []
+    if len(down):
+        image = image_slot[survey.down_image[down]]
+        terms.append(GravityPrior(survey.down_in_cam[down], survey.down_sigma[down], image))
+    if len(height):
+        image = image_slot[survey.height_image[height]]
+        terms.append(HeightPrior(image, survey.height[height], survey.height_sigma[height]))
+    if len(center):
+        image = image_slot[survey.center_image[center]]
+        terms.append(CenterPrior(image, survey.center[center], survey.center_information[center]))
+    if len(known):
+        point = control_slot[survey.known_control[known]]
+        terms.append(KnownPoints(point, survey.known_position[known], survey.known_information[known]))
+    if len(waterline):
+        control = control_slot[survey.waterline_control[waterline]]
+        seen = part.scene.observations
+        surface = part.scene.views.interface[seen.view[torch.searchsorted(seen.point, control)]]
+        terms.append(Waterline(control, surface, survey.waterline_sigma[waterline]))
+    if bool(bars.any()):
+        ends = control_slot[survey.bar_from[bars]], control_slot[survey.bar_to[bars]]
+        terms.append(ScaleBars(*ends, survey.bar_length[bars], survey.bar_sigma[bars]))
+    return terms
+
+
+def _slots(ids: Int[Tensor, " k"], count: int) -> Int[Tensor, " n"]:
+    """The number among `ids` of everything up to `count`; -1 for what is not there."""
+    slots = torch.full((count,), -1, dtype=torch.long)
+    slots[ids] = torch.arange(len(ids))
+    return slots
+
+
+def _present(slot: Int[Tensor, " n"], of: Int[Tensor, " k"]) -> Int[Tensor, " p"]:
+    """The rows of measurements `of` views or points that take part."""
+    return (slot[of] >= 0).nonzero()[:, 0]

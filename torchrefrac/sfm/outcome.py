@@ -1,0 +1,63 @@
+"""How the steps of a reconstruction end: enums whose values are sentences, filled with what was counted."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+from torchrefrac.bundle import BundleReport
+
+
+class Start(Enum):
+    """Of the first pair of views."""
+
+    DONE = "{points} points are placed from the first two views"
+    NO_POSE = "the matches of the pair do not determine its pose"
+    FEW_POINTS = "only {points} points can be placed from the pair, of which a start needs {needed}"
+
+
+class Registration(Enum):
+    """Of one more view."""
+
+    DONE = "{agreeing} of the {seen} reconstructed points that it sees agree with its pose"
+    FEW_POINTS = "sees only {seen} reconstructed points, of which a pose needs {needed}"
+    NO_POSE = "no pose agrees with more than {agreeing} of the {seen} reconstructed points that it sees"
+
+
+class Triangulation(Enum):
+    """Of points that had no position."""
+
+    DONE = "{points} points are placed"
+    NOTHING = "no point is seen by two registered views"
+
+
+class Filtering(Enum):
+    """Of observations, points and views."""
+
+    DONE = "{points} points stay"
+    LOST_VIEWS = "{points} points stay, but some views are left with next to none"
+
+
+class Adjustment(Enum):
+    """Of everything together (see `optim.minimize`)."""
+
+    CONVERGED = "the adjustment converged"
+    STOPPED = "the adjustment stopped before it converged"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """kind: how the step ended, its numbers the ones in its sentence. views: those that were lost. report: of an
+    adjustment."""
+
+    kind: Enum
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    views: tuple[int, ...] = ()
+    report: BundleReport | None = None
+
+    def __str__(self) -> str:
+        return str(self.kind.value).format(**self.numbers)
+
+    @property
+    def done(self) -> bool:
+        """Whether the step did what it is for."""
+        return self.kind.name in ("DONE", "CONVERGED")

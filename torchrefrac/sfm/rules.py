@@ -1,0 +1,123 @@
+"""By what the steps of a reconstruction go, and the options that people set."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from torchrefrac.bundle import BundleOptions, Term
+from torchrefrac.checks import require
+from torchrefrac.optim import LevenbergMarquardtOptions
+from torchrefrac.ransac import RansacOptions
+from torchrefrac.scene import Part
+from torchrefrac.sfm.pose import PoseInitializer
+
+Measurements = Callable[[Part], Sequence[Term]]
+MIN_OBSERVATIONS = 6
+
+
+def nothing_measured(part: Part) -> Sequence[Term]:
+    """Only pixels."""
+    return ()
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What the verbs `start`, `register`, `triangulate`, `filter_points` and `adjust` need besides the scene.
+
+    max_error, in pixels: of an observation that is accepted. min_angle_deg: between the rays of a point, 0 for any.
+    min_track_length: accepted observations that a point needs, one number for all or one for each. min_support:
+    accepted observations that a registered view needs. min_registration_inliers: of a pose.
+
+    rough: poses may be far off, so that a point is first put where its observations meet best under a loss in which
+    errors beyond `loss_scale` pixels count linearly, and judged there. bundle: how to adjust. measurements: what is
+    known besides pixels of a part of the scene. fixed_poses: points and water alone are adjusted. poses: finds poses
+    without a start; generator: of its random samples.
+    """
+
+    max_error: float = 4.0
+    min_angle_deg: float = 1.5
+    min_track_length: int | Int[Tensor, " n"] = 2
+    min_support: int = MIN_OBSERVATIONS
+    min_registration_inliers: int = 20
+    rough: bool = False
+    loss_scale: float = 4.0
+    bundle: BundleOptions = field(default_factory=BundleOptions)
+    measurements: Measurements = nothing_measured
+    fixed_poses: bool = False
+    poses: PoseInitializer | None = None
+    generator: torch.Generator = field(default_factory=lambda: torch.Generator().manual_seed(0))
+
+
+@dataclass(frozen=True)
+class SfmOptions:
+    """Thresholds in pixels and degrees.
+
+    ransac.max_error is the error of a match or point at a good pose: gravity's own error is part of the pose.
+    min_pair_inliers: fewer verified matches make no pair.
+    min_initial_angle_deg: median angle between the rays of the initial pair. min_angle_deg: of an accepted point.
+    max_error: of an accepted observation. min_track_length: images that must see a final point (2 where only 2
+    are registered). global_growth: adjust everything whenever the number of images has grown by this factor.
+    """
+
+    ransac: RansacOptions = field(default_factory=lambda: RansacOptions(max_samples=8192))
+    bundle: BundleOptions = field(default_factory=BundleOptions)
+    min_pair_inliers: int = 20
+    min_registration_inliers: int = 20
+    min_initial_angle_deg: float = 5.0
+    min_angle_deg: float = 1.5
+    max_error: float = 4.0
+    min_track_length: int = 3
+    global_growth: float = 1.1
+    final_rounds: int = 3
+
+    def rules(
+        self, poses: PoseInitializer, measurements: Measurements = nothing_measured, seed: int | torch.Generator = 0
+    ) -> Rules:
+        """By what an incremental reconstruction goes."""
+        return Rules(
+            max_error=self.max_error,
+            min_angle_deg=self.min_angle_deg,
+            min_registration_inliers=self.min_registration_inliers,
+            bundle=self.bundle,
+            measurements=measurements,
+            poses=poses,
+            generator=seed if isinstance(seed, torch.Generator) else torch.Generator().manual_seed(seed),
+        )
+
+
+@dataclass(frozen=True)
+class ReadjustOptions:
+    """max_error: of an accepted observation, pixels. rounds: of dropping observations and adjusting again. held:
+    "cameras" leaves the poses as they are."""
+
+    held: Literal["none", "cameras"] = "none"
+    max_error: float = 4.0
+    rounds: int = 3
+    bundle: BundleOptions = field(
+        default_factory=lambda: BundleOptions(
+            loss_scale=0.5, pixel_sigma=0.5, solver=LevenbergMarquardtOptions(max_iterations=100)
+        )
+    )
+
+    def __post_init__(self) -> None:
+        require(self.max_error, "max_error", above=0.0)
+        require(self.rounds, "rounds", at_least=1)
+
+    def rules(self, measurements: Measurements, min_track_length: int | Int[Tensor, " n"]) -> Rules:
+        """By what a whole scene is adjusted again."""
+        fixed = self.held == "cameras"
+        return Rules(
+            max_error=self.max_error,
+            min_angle_deg=0.0,
+            min_track_length=min_track_length,
+            min_support=0 if fixed else MIN_OBSERVATIONS,
+            rough=True,
+            loss_scale=self.max_error,
+            bundle=self.bundle,
+            measurements=measurements,
+            fixed_poses=fixed,
+        )
