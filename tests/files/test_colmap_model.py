@@ -207,8 +207,8 @@ def test_a_write_that_fails_leaves_the_earlier_model(tmp_path, scene):
 
 
 @pytest.mark.parametrize("name", ["", "a\0b"])
-def test_a_name_that_no_file_can_keep_is_refused(tmp_path, scene, name):
-    with pytest.raises(SceneError, match="which a COLMAP model cannot keep"):
+def test_a_name_that_no_file_can_hold_is_refused(tmp_path, scene, name):
+    with pytest.raises(SceneError, match="which a COLMAP model cannot hold"):
         write_colmap(named(scene, name, *scene.views.names[1:]), tmp_path, binary=True)
 
 

@@ -22,7 +22,7 @@ Metrics = dict[str, float | int | list[float | None]]
 
 
 def summarize_dense(cloud: DenseCloud) -> Metrics:
-    """What can be said without truth: how many points there are, and their median views, score and sigma."""
+    """What is known without truth: how many points there are, and their median views, score and sigma."""
     metrics: Metrics = {"dense_points": len(cloud)}
     if len(cloud):
         metrics |= {

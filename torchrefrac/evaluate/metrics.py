@@ -15,7 +15,7 @@ MIN_SIMILARITY_CAMERAS = 3
 
 
 def summarize(scene: Scene) -> dict[str, Any]:
-    """What can be said of a finished scene without truth."""
+    """What is known of a finished scene without truth."""
     errors, known = scene.errors(), scene.assessment
     metrics: dict[str, Any] = {
         "images": len(scene.views),

@@ -52,11 +52,11 @@ def point_metrics(scene: Scene, surface: TrueSurface, alignment: Similarity) -> 
 
 
 def true_places(scene: Scene, surface: TrueSurface) -> TruePlaces | None:
-    """Where the points of a finished scene truly are; None where the truth does not tell.
+    """Where the points of a finished scene truly are; None where the truth does not say.
 
     The pixel of each observation is cast through the true camera (pose, intrinsics, water) onto the true surface. The
     true place of a point is the median, component by component, over its observations in registered images: a wrong
-    match in one of three and more does not move it, and where there are only two, the point's error tells of it. No
+    match in one of three and more does not move it, and where there are only two, the point's error shows it. No
     nearness takes part: this holds for scenes that are bent by whatever amount. A point none of whose observations
     meets the surface has no place. None without a true index ratio or intrinsics, or for photographs of another size.
     """

@@ -51,7 +51,7 @@ def write_cameras(scene: Scene, path: Path) -> None:
     intrinsics, views = scene.intrinsics, scene.views
     if not scene.interfaces.is_level:
         raise SceneError(
-            f"{path} cannot tell of water that is not the plane z = 0; write a COLMAP model and water.json"
+            f"{path} has no place for water that is not the plane z = 0; write a COLMAP model and water.json"
         )
     (fx, fy), (cx, cy) = intrinsics.focal.tolist(), intrinsics.principal_point.tolist()
     covariance = scene.assessment.center_covariance

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -138,7 +138,7 @@ def _kind(value: Any) -> str:
 
 
 @contextmanager
-def scene_fields(path: Path) -> Iterator[Fields]:
+def scene_fields(path: Path) -> Generator[Fields]:
     """A JSON object that belongs to a scene; whatever is wrong with the file or its fields is raised as SceneError."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))

@@ -102,7 +102,11 @@ def _header(start: bytes, path: Path) -> tuple[np.dtype, int, tuple[str, ...], i
                 fields.append((name, order + TYPES[kind]))
             case ["property", *_] if len(elements) == 1:
                 raise DenseFileError(f"{path}: {line.strip()!r} is not a property of one number, as vertices must have")
-    match elements[:1]:
-        case [["vertex", count]] if count.isdecimal() and fields and len(dict(fields)) == len(fields):
-            return np.dtype(fields), int(count), comments, end_of_line + 1, len(elements) == 1
-    raise DenseFileError(f"{path} must begin with 'element vertex' and its number, and properties of different names")
+            case _:
+                pass
+    name, count = elements[0] if elements and len(elements[0]) == 2 else ("", "")
+    if name != "vertex" or not count.isdecimal() or not fields or len(dict(fields)) != len(fields):
+        raise DenseFileError(
+            f"{path} must begin with 'element vertex' and its number, and properties of different names"
+        )
+    return np.dtype(fields), int(count), comments, end_of_line + 1, len(elements) == 1

@@ -1,7 +1,6 @@
 """Files of a raster: `dsm.npz`, and GeoTIFF for geographic information systems."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -31,9 +30,9 @@ def load_raster(path: str | Path) -> Raster:
     """Read what `write_raster` wrote, to the last bit. Raises DenseFileError where the file is missing or damaged."""
     wanted = GRIDS | {"length_unit": "U:"} | dict.fromkeys(NUMBERS, "n:")
     found = read_arrays(path, wanted, DenseFileError, FORMAT)
-    values: dict[str, Any] = {name: torch.from_numpy(found[name]) for name in GRIDS if name != "depth"}
-    values |= {name: float(found[name]) for name in NUMBERS}
-    return Raster(**values, length_unit=str(found["length_unit"]))
+    grids = (torch.from_numpy(found[name]) for name in GRIDS if name != "depth")
+    west, north, size = (float(found[name]) for name in NUMBERS)
+    return Raster(*grids, x_west=west, y_north=north, cell_size=size, length_unit=str(found["length_unit"]))
 
 
 def require_geotiff(crs: str | None = None) -> None:

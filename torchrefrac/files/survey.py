@@ -25,7 +25,9 @@ IMAGE_FIELDS = {
 CONTROL_FIELDS = {"observations": (), "position": ("sigma",), "on_waterline": ("waterline_sigma",)}
 RANGE = 1e100  # of lengths and sigmas: their squares and the inverses of those are finite
 SYMMETRY_TOLERANCE = 1e-6  # of covariances, relative to the standard deviations they belong to
-MIN_EIGENVALUE = 1e-10  # of correlations; below, as many digits as people write do not tell them from singular ones
+MIN_EIGENVALUE = (
+    1e-10  # of correlations; below, as many digits as people write do not set them apart from singular ones
+)
 
 
 def read_survey(path: str | Path, names: Sequence[str]) -> Survey:
@@ -51,16 +53,16 @@ def read_survey(path: str | Path, names: Sequence[str]) -> Survey:
             raise top.fail("format", f"is {top.text('format')!r}, but must be {FORMAT!r}")
         shift = _pixel_shift(top)
         images = {name: _image(image) for name, image in top.members("images").items()}
-        marks = {name: _mark(mark, shift) for name, mark in top.members("marks").items()}
-        for name, mark in marks.items():
-            if not mark.is_placed:
+        controls = {name: _control_point(entry, shift) for name, entry in top.members("marks").items()}
+        for name, point in controls.items():
+            if not point.is_placed:
                 wanted = "must be at least 2x, or 1x beside a position"
-                raise top.fail(f"marks.{name}", f"is observed {len(mark.pixels)}x, but {wanted}")
-        bars = [_bar(bar, marks) for bar in top.objects("scale_bars")] if "scale_bars" in top else []
+                raise top.fail(f"marks.{name}", f"is observed {len(point.pixels)}x, but {wanted}")
+        bars = [_bar(bar, controls) for bar in top.objects("scale_bars")] if "scale_bars" in top else []
     except CaptureError as error:  # the typed fields speak for every file of a capture
         raise SurveyError(str(error)) from None
-    mentioned = {*images, *(image for mark in marks.values() for image in mark.pixels)}
-    survey = resolve(images, marks, bars, names)
+    mentioned = {*images, *(image for point in controls.values() for image in point.pixels)}
+    survey = resolve(images, controls, bars, names)
     if mentioned and len(survey.skipped) == len(mentioned):
         wanted = f"the scene has none of them; its images are {_some(names)}"
         raise SurveyError(f"{path} names the images {_some(survey.skipped)}, but {wanted}")
@@ -111,25 +113,25 @@ def _image(image: Fields) -> SurveyedImage:
     return SurveyedImage(down, height, center)
 
 
-def _mark(mark: Fields, shift: float) -> ControlPoint:
-    _paired(mark, CONTROL_FIELDS)
+def _control_point(entry: Fields, shift: float) -> ControlPoint:
+    _paired(entry, CONTROL_FIELDS)
     pixels: dict[str, list[float]] = {}
-    if "observations" in mark:
-        seen = mark.object("observations")
+    if "observations" in entry:
+        seen = entry.object("observations")
         pixels = {image: [x + shift for x in seen.numbers(image, 2)] for image in seen.names()}
     known = waterline = None
-    if "position" in mark:
-        known = mark.numbers("position", 3), _information(mark, "sigma", _diagonal(mark, "sigma"))
-    if "on_waterline" in mark and mark.flag("on_waterline"):
-        waterline = _positive(mark, "waterline_sigma")
+    if "position" in entry:
+        known = entry.numbers("position", 3), _information(entry, "sigma", _diagonal(entry, "sigma"))
+    if "on_waterline" in entry and entry.flag("on_waterline"):
+        waterline = _positive(entry, "waterline_sigma")
     return ControlPoint(pixels, known, waterline)
 
 
-def _bar(bar: Fields, marks: Mapping[str, ControlPoint]) -> ScaleBar:
+def _bar(bar: Fields, controls: Mapping[str, ControlPoint]) -> ScaleBar:
     bar.only("from", "to", "length", "sigma")
     for end in ("from", "to"):
-        if bar.text(end) not in marks:
-            raise bar.fail(end, f"is {bar.text(end)!r}, but must be one of the marks ({_some(marks) or 'none'})")
+        if bar.text(end) not in controls:
+            raise bar.fail(end, f"is {bar.text(end)!r}, but must be one of the marks ({_some(controls) or 'none'})")
     if bar.text("from") == bar.text("to"):
         raise bar.fail("to", f"is {bar.text('to')!r}, but must be another mark than from")
     return ScaleBar(bar.text("from"), bar.text("to"), _positive(bar, "length"), _positive(bar, "sigma"))

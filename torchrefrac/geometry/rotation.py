@@ -39,7 +39,7 @@ def so3_log(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
 
     Goes through the unit quaternion of the largest component, so it is accurate near zero and near pi.
     """
-    w_xyz = _quaternion(rotation)
+    w_xyz = quaternion_of(rotation)
     w_xyz = torch.where(w_xyz[..., :1] < 0.0, -w_xyz, w_xyz)
     w, xyz = w_xyz[..., :1], w_xyz[..., 1:]
     sine = xyz.norm(dim=-1, keepdim=True)
@@ -48,7 +48,7 @@ def so3_log(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
     return scale * xyz
 
 
-def _quaternion(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
+def quaternion_of(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
     """Unit quaternion wxyz, read off the row of q q^T with the largest diagonal."""
     r = rotation
     trace = r[..., 0, 0] + r[..., 1, 1] + r[..., 2, 2]

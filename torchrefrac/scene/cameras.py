@@ -1,4 +1,4 @@
-"""Cameras: lenses with their sensors, each shared by many views."""
+"""Cameras: intrinsics, each shared by many views."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

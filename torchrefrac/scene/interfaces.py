@@ -26,7 +26,7 @@ class Interfaces:
 
     @classmethod
     def level(cls, index_ratio: float | Float[Tensor, ""], height: float = 0.0) -> "Interfaces":
-        """One horizontal surface, at z = 0 unless told otherwise."""
+        """One horizontal surface, by default at z = 0."""
         ratio = torch.as_tensor(index_ratio, dtype=torch.float64).reshape(1)
         normal = ratio.new_tensor(((0.0, 0.0, 1.0),))
         return cls(normal, ratio.new_full((1,), height), ratio)

@@ -24,7 +24,7 @@ class SceneError(TorchrefracError, ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """How well a scene is determined, as standard deviations; None: nothing can be said.
+    """How well a scene is determined, as standard deviations; None: not known.
 
     pixel_sigma: of a keypoint's coordinate, pixels, as estimated from the residuals. point_sigma of points and
     center_sigma of registered views: of a coordinate, in length_unit, relative to the cameras as a whole;

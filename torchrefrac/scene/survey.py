@@ -113,7 +113,7 @@ def resolve(
 ) -> Survey:
     """The survey of a scene with images `names`; what is measured of other images is skipped (see `Survey`).
 
-    Tables keep the order of their arguments. The ends of `bars` must be among `controls`.
+    Tables have the order of their arguments. The ends of `bars` must be among `controls`.
     """
     index = {name: i for i, name in enumerate(names)}
     mentioned = dict.fromkeys((*images, *(image for point in controls.values() for image in point.pixels)))

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchrefrac.files.colmap.tables import NO_POINT, CameraRow, ImageTable, PointTable, intrinsics_of, row_of
 from torchrefrac.geometry import Rigid, rotate
-from torchrefrac.geometry.rotation import _quaternion
+from torchrefrac.geometry.rotation import quaternion_of
 from torchrefrac.scene import Interfaces, Observations, Scene, SceneError
 
 Rows = Int[np.ndarray, " k"]
@@ -156,7 +156,7 @@ def tables_of(scene: Scene, errors: Float[Tensor, "..."] | None) -> tuple[list[C
     image, point = _array(scene.observations.view), _array(scene.observations.point)
     by_image = np.argsort(image, kind="stable")
     starts = np.concatenate(([0], np.cumsum(np.bincount(image, minlength=m))))
-    quaternion = _quaternion(views.rotation.detach().double())
+    quaternion = quaternion_of(views.rotation.detach().double())
     images = ImageTable(
         names=views.names,
         ids=np.arange(1, m + 1),

@@ -76,7 +76,7 @@ def write_colmap(
     Intrinsics become a PINHOLE camera where the distortion is zero, OPENCV where k3 is, else FULL_OPENCV. All numbers
     survive to the last bit except poses, which the files hold as quaternion and translation: 1e-15 or so. The files
     replace those of an earlier model only once all three are complete. Raises SceneError where `folder` holds files
-    that whoever reads the model would take for a part of it, and for a name that the files cannot keep.
+    that whoever reads the model would take for a part of it, and for a name that the files cannot hold.
     """
     folder, ending = Path(folder), ".bin" if binary else ".txt"
     others = [f"{stem}{'.txt' if binary else '.bin'}" for stem in STEMS]
@@ -87,7 +87,7 @@ def write_colmap(
     cameras, images, points = tables_of(scene, errors)
     for name in images.names:
         if not name or "\0" in name:
-            raise SceneError(f"an image has the name {name!r}, which a COLMAP model cannot keep; rename it")
+            raise SceneError(f"an image has the name {name!r}, which a COLMAP model cannot hold; rename it")
     write_cameras = write_cameras_bin if binary else write_cameras_txt
     write_images = write_images_bin if binary else write_images_txt
     write_points = write_points_bin if binary else write_points_txt

@@ -1,6 +1,6 @@
 """The text files of a COLMAP model: one line a camera, two an image, one a point; # begins a comment."""
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -101,7 +101,7 @@ def read_points_txt(path: Path) -> PointTable:
 
 
 def write_cameras_txt(rows: list[CameraRow], path: Path) -> None:
-    """Write cameras.txt; here and below, numbers have all the digits that tell them from their neighbours."""
+    """Write cameras.txt; here and below, numbers have all the digits that set them apart from their neighbours."""
     lines = [f"{row.id} {row.model} {row.width} {row.height} {_join(row.parameters)}\n" for row in rows]
     path.write_text(CAMERAS_HEAD + "".join(lines), encoding="utf-8", newline="\n")
 
@@ -162,7 +162,7 @@ def _require_columns(fits: bool, words: list[str], wanted: str, path: Path, numb
 
 
 @contextmanager
-def _numbers(path: Path, number: int) -> Iterator[None]:
+def _numbers(path: Path, number: int) -> Generator[None]:
     """Name the line where a word is no number."""
     try:
         yield
