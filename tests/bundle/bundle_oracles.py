@@ -3,17 +3,17 @@
 import torch
 from torch import Tensor
 
-from torchrefrac.bundle import BundleState, Links, Observations
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.optim import Step, robust
+from torchrefrac.scene import Observations, Scene
 
 
-def errors_of(state: BundleState, links: Links, seen: Observations) -> Tensor:
+def errors_of(state: Scene, seen: Observations) -> Tensor:
     """Projection minus pixel (N, 2)."""
-    return state.cameras(links, seen.camera).project(state.points[seen.point])[0] - seen.pixels
+    return state.camera_of(seen.view).project(state.points[seen.point])[0] - seen.pixels
 
 
-def moved(layout: Layout, state: BundleState, step: Tensor) -> BundleState:
+def moved(layout: Layout, state: Scene, step: Tensor) -> Scene:
     """`state` after a step in everything (size + 3 free points)."""
     points = step[layout.size :].reshape(-1, 3)
     return layout.retract(state, Step(step[: layout.size], points, torch.zeros(()), torch.tensor(True)))
@@ -21,36 +21,36 @@ def moved(layout: Layout, state: BundleState, step: Tensor) -> BundleState:
 
 def num_unknowns(layout: Layout) -> int:
     """How long such a step is."""
-    return layout.size + 3 * (layout.num_points - layout.num_kept)
+    return layout.size + 3 * (layout.num_points - len(layout.reduced_points))
 
 
-def jacobian_of(function, layout: Layout, state: BundleState) -> Tensor:
-    """Of function(state) -> (K): (K, unknowns) by autograd through the retraction; zero in what is held."""
+def jacobian_of(function, layout: Layout, state: Scene) -> Tensor:
+    """Of function(state) -> (K): (K, unknowns) by autograd through the retraction; zero in what is fixed."""
     at = torch.zeros(num_unknowns(layout), dtype=torch.float64)
     jacobian = torch.autograd.functional.jacobian(lambda step: function(moved(layout, state, step)), at, vectorize=True)
-    if layout.held is not None:
-        jacobian[:, : 6 * layout.num_cameras] *= ~layout.held.flatten()
+    if layout.fixed is not None:
+        jacobian[:, : 6 * layout.num_views] *= ~layout.fixed.flatten()
     return jacobian
 
 
-def weighted_residuals(problem, observations: Observations, at: BundleState):
+def weighted_residuals(problem, observations: Observations, at: Scene):
     """The function state -> residuals (K) whose Gauss-Newton system the problem linearised at `at` must have."""
     options, layout = problem.options, problem.layout
-    square = errors_of(at, layout.links, observations).square().sum(dim=-1, keepdim=True)
+    square = errors_of(at, observations).square().sum(dim=-1, keepdim=True)
     root = robust(square, options.loss, options.loss_scale)[1].sqrt()
 
-    def residuals(state: BundleState) -> Tensor:
-        parts = [(root * errors_of(state, layout.links, observations)).flatten()]
+    def residuals(state: Scene) -> Tensor:
+        parts = [(root * errors_of(state, observations)).flatten()]
         parts += [options.pixel_sigma * term.residuals(state, layout).value.flatten() for term in problem.terms]
         return torch.cat(parts)
 
     return residuals
 
 
-def cost_by_definition(problem, observations: Observations, state: BundleState) -> Tensor:
+def cost_by_definition(problem, observations: Observations, state: Scene) -> Tensor:
     """Half the sum of all losses, and of all squared residuals of the terms in pixels."""
     options, layout = problem.options, problem.layout
-    square = errors_of(state, layout.links, observations).square().sum(dim=-1)
+    square = errors_of(state, observations).square().sum(dim=-1)
     cost = robust(square, options.loss, options.loss_scale)[0].sum()
     for term in problem.terms:
         cost = cost + options.pixel_sigma**2 * term.residuals(state, layout).value.square().sum()
@@ -58,16 +58,16 @@ def cost_by_definition(problem, observations: Observations, state: BundleState) 
 
 
 def dense_jacobian(layout: Layout, observations: Observations, rows: Tensor) -> Tensor:
-    """Rows (2, w + 4, N) of observations of points that are not kept, spread over all unknowns: (2 N, unknowns)."""
+    """Rows (2, w + 4, N) of observations of points that are eliminated, spread over all unknowns: (2 N, unknowns)."""
     count = len(observations)
-    images = torch.arange(layout.num_cameras)
+    images = torch.arange(layout.num_views)
     columns = [6 * images[:, None] + torch.arange(6)]
-    columns += [layout.lens_columns(name, layout.links.lens) for name in layout.lens]
+    columns += [layout.intrinsics_columns(name, layout.camera) for name in layout.intrinsics]
     columns += [torch.full((len(images), 1), layout.index_column())] * ("index_ratio" in layout.water)
-    by_plane = layout.plane_columns(layout.links.plane)
+    by_plane = layout.plane_columns(layout.interface)
     columns.append(by_plane[:, by_plane[0] != layout.size])
     point = layout.size + 3 * observations.point[:, None] + torch.arange(3)
-    across = torch.cat((torch.cat(columns, dim=1)[observations.camera], point), dim=1)
+    across = torch.cat((torch.cat(columns, dim=1)[observations.view], point), dim=1)
     jacobian = torch.zeros(count, 2, num_unknowns(layout), dtype=torch.float64)
     jacobian.scatter_(2, across[:, None].expand(-1, 2, -1), rows[:, :-1].permute(2, 0, 1))
     return jacobian.flatten(0, 1)

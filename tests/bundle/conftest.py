@@ -1,4 +1,4 @@
-"""Planted scenes: cameras, points, lenses and water, and what the cameras see of the points."""
+"""Planted scenes: views, points, cameras and water, and what the views see of the points."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -7,32 +7,23 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchrefrac.bundle import (
-    BundleOptions,
-    BundleProblem,
-    BundleReport,
-    BundleState,
-    GravityPrior,
-    Links,
-    Observations,
-    Term,
-    adjust,
-)
+from tests.bundle.changes import changed
+from torchrefrac.bundle import BundleOptions, BundleProblem, BundleReport, GravityPrior, Term, adjust
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.terms import concerned_points
 from torchrefrac.camera import Intrinsics
-from torchrefrac.geometry import so3_exp
+from torchrefrac.geometry import Rigid, so3_exp
 from torchrefrac.optim import LevenbergMarquardtOptions
+from torchrefrac.scene import Interfaces, Observations, Scene
 
 SQUARED = BundleOptions(loss="squared", solver=LevenbergMarquardtOptions(max_iterations=100, function_tolerance=1e-12))
 
 
 @dataclass(frozen=True)
 class Planted:
-    """The true state, which lens and water each image has, the observations (sorted by point), the true gravity."""
+    """The true scene, the observations (sorted by point), the true gravity."""
 
-    truth: BundleState
-    links: Links
+    truth: Scene
     observations: Observations
     down_in_cam: Tensor
 
@@ -41,23 +32,26 @@ class Planted:
         """Known to 0.01 radians."""
         return GravityPrior(self.down_in_cam, 0.01)
 
-    def layout(self, refine=(), *, terms: Sequence[Term] = (), held: Tensor | None = None) -> Layout:
-        kept = concerned_points(terms, len(self.truth.points), self.truth.points)
-        return Layout.create(self.truth, self.links, tuple(refine), held, kept=kept)
+    def seen_in(self, scene: Scene) -> Scene:
+        """A scene with these observations."""
+        same = scene.observations is self.observations
+        return scene if same else changed(scene, observations=self.observations)
 
-    def problem(self, *, terms: Sequence[Term] = (), held: Tensor | None = None, **changes) -> BundleProblem:
+    def layout(self, refine=(), *, terms: Sequence[Term] = (), fixed: Tensor | None = None) -> Layout:
+        return Layout.create(self.truth, tuple(refine), fixed, reduced=concerned_points(terms, self.truth.points))
+
+    def problem(self, *, terms: Sequence[Term] = (), fixed: Tensor | None = None, **changes) -> BundleProblem:
         """The problem of adjusting the truth, by default with the loss squared; changes: of the options."""
         options = replace(SQUARED, **changes)
-        layout = self.layout(options.refine, terms=terms, held=held)
-        return BundleProblem.create(self.truth, layout, self.observations, options, terms)
+        layout = self.layout(options.refine, terms=terms, fixed=fixed)
+        return BundleProblem.create(self.seen_in(self.truth), layout, options, terms)
 
     def adjusted(
-        self, start: BundleState, *, terms: Sequence[Term] = (), held=None, check=True, callback=None, **changes
+        self, start: Scene, *, terms: Sequence[Term] = (), fixed=None, check=True, callback=None, **changes
     ) -> BundleReport:
         """`adjust` from `start`, with the loss squared; changes: of the options."""
         options = replace(SQUARED, **changes)
-        rest = {"terms": terms, "held": held, "check": check, "callback": callback}
-        return adjust(start, self.observations, options, links=self.links, **rest)
+        return adjust(self.seen_in(start), options, terms=terms, fixed=fixed, check=check, callback=callback)
 
     def with_wrong_observations(self, draw) -> "Planted":
         """Every twentieth pixel is off by up to 30."""
@@ -78,62 +72,63 @@ def squared() -> BundleOptions:
 
 @pytest.fixture
 def plant(make_basin, draw) -> Callable[..., Planted]:
-    """`plant(cameras=4, points=30, noise=0.0, ...)`: points that two or more cameras see, noise in pixels.
+    """`plant(views=4, points=30, noise=0.0, ...)`: points that two or more views see, noise in pixels.
 
-    lenses: as many different ones, in turn; planes: as many different waters, for half of the cameras each, the later
-    ones tilted and higher by some centimetres. The rest goes to `make_basin`.
+    cameras: as many different ones, in turn; interfaces: as many different waters, for half of the views each, the
+    later ones tilted and higher by some centimetres. The rest goes to `make_basin`.
     """
 
-    def make(cameras=4, points=30, noise=0.0, lenses=1, planes=1, **scene) -> Planted:
-        basin = make_basin(cameras=cameras, points=points, seen_by=min(2, cameras), **scene)
-        point, camera = basin.project()[1].T.nonzero(as_tuple=True)
-        turn = torch.arange(cameras)
-        truth = BundleState(
-            basin.rotation,
-            basin.center,
+    def make(views=4, points=30, noise=0.0, cameras=1, interfaces=1, **scene) -> Planted:
+        basin = make_basin(cameras=views, points=points, seen_by=min(2, views), **scene)
+        point, view = basin.project()[1].T.nonzero(as_tuple=True)
+        turn = torch.arange(views)
+        truth = Scene.create(
+            Rigid(basin.rotation, basin.center),
+            _cameras(basin.lens, cameras),
+            _interfaces(interfaces, basin.index_ratio),
             basin.points,
-            _lenses(basin.lens, lenses),
-            torch.tensor(basin.index_ratio, dtype=torch.float64),
-            *_planes(planes),
+            Observations(view, point, torch.zeros(len(view), 2, dtype=torch.float64)),
+            camera=turn % cameras,
+            interface=(turn * interfaces) // views,
         )
-        links = Links(turn % lenses, (turn * planes) // cameras)
-        exact, valid = truth.cameras(links, camera).project(truth.points[point])
+        exact, valid = truth.camera_of(view).project(truth.points[point])
         assert valid.all()
-        pixels = exact + noise * draw.normal(len(camera), 2)
-        return Planted(truth, links, Observations(camera, point, pixels), basin.down_in_cam)
+        seen = replace(truth.observations, pixels=exact + noise * draw.normal(len(view), 2))
+        return Planted(replace(truth, observations=seen), seen, basin.down_in_cam)
 
     return make
 
 
-def _lenses(lens: Intrinsics, count: int) -> Intrinsics:
-    if count == 1:
-        return lens
-    step = torch.arange(count, dtype=torch.float64)[:, None]
-    return replace(
-        lens,
-        focal=lens.focal * (1.0 + step * torch.tensor((0.06, 0.05), dtype=torch.float64)),
-        principal_point=lens.principal_point + step * torch.tensor((5.0, -7.0), dtype=torch.float64),
-        distortion=lens.distortion + step * torch.tensor((-0.02, 0.01, 1e-3, -1e-3, 2e-3), dtype=torch.float64),
-    )
+def _cameras(first: Intrinsics, count: int) -> list[Intrinsics]:
+    change = first.distortion.new_tensor((-0.02, 0.01, 1e-3, -1e-3, 2e-3))
+    return [
+        replace(
+            first,
+            focal=first.focal * (1.0 + step * first.focal.new_tensor((0.06, 0.05))),
+            principal_point=first.principal_point + step * first.focal.new_tensor((5.0, -7.0)),
+            distortion=first.distortion + step * change,
+        )
+        for step in range(count)
+    ]
 
 
-def _planes(count: int) -> tuple[Tensor, Tensor]:
+def _interfaces(count: int, index_ratio: float) -> Interfaces:
     step = torch.arange(count, dtype=torch.float64)
     normal = torch.stack((0.02 * step, -0.03 * step, torch.ones_like(step)), dim=-1)
-    return torch.nn.functional.normalize(normal, dim=-1), 2.0 * step
+    return Interfaces(torch.nn.functional.normalize(normal, dim=-1), 2.0 * step, torch.full_like(step, index_ratio))
 
 
 @pytest.fixture
-def disturb(draw) -> Callable[[BundleState], BundleState]:
-    """`disturb(state)`: cameras turned by about half a degree and moved by half a centimetre, points by one."""
+def disturb(draw) -> Callable[..., Scene]:
+    """`disturb(scene)`: views turned by about half a degree and moved by half a centimetre, points by one."""
 
-    def move(state: BundleState, size: float = 1.0) -> BundleState:
-        m, n = len(state.center), len(state.points)
-        return replace(
-            state,
-            rotation=so3_exp(0.01 * size * draw.normal(m, 3)) @ state.rotation,
-            center=state.center + 0.5 * size * draw.normal(m, 3),
-            points=state.points + size * draw.normal(n, 3),
+    def move(scene: Scene, size: float = 1.0) -> Scene:
+        m, n = len(scene.views), len(scene.points)
+        return changed(
+            scene,
+            rotation=so3_exp(0.01 * size * draw.normal(m, 3)) @ scene.views.rotation,
+            center=scene.views.center + 0.5 * size * draw.normal(m, 3),
+            points=scene.points + size * draw.normal(n, 3),
         )
 
     return move

@@ -13,10 +13,12 @@ from tests.bundle.bundle_oracles import (
     num_unknowns,
     weighted_residuals,
 )
+from tests.bundle.changes import changed
 from tests.tolerances import assert_matches
-from torchrefrac.bundle import Expectations, KnownPoints, Observations, ScaleBars
+from torchrefrac.bundle import Expectations, KnownPoints, ScaleBars
 from torchrefrac.geometry import so3_exp
 from torchrefrac.optim import huber
+from torchrefrac.scene import Observations
 
 in_water_and_air = pytest.mark.parametrize("index_ratio", [1.333, 1.0], ids=["water", "air"])
 EVERYTHING = ("focal", "principal_point", "radial", "index_ratio", "plane_tilt", "plane_height")
@@ -25,7 +27,7 @@ EVERYTHING = ("focal", "principal_point", "radial", "index_ratio", "plane_tilt",
 @in_water_and_air
 @pytest.mark.parametrize("loss", ["squared", "huber", "cauchy"])
 @pytest.mark.parametrize("gravity", [False, True], ids=["free", "gravity"])
-@pytest.mark.parametrize("refine", [(), ("radial",)], ids=["lens fixed", "radial"])
+@pytest.mark.parametrize("refine", [(), ("radial",)], ids=["intrinsics fixed", "radial"])
 def test_the_gradient_is_that_of_autograd_through_the_cost(plant, disturb, index_ratio, loss, gravity, refine):
     planted = plant(noise=0.5, land=4, index_ratio=index_ratio, distortion=(-0.1, 0.03, 0.001, -0.002, 0.0))
     problem = planted.problem(loss=loss, terms=[planted.gravity] if gravity else [], refine=refine)
@@ -44,19 +46,19 @@ def test_the_gradient_is_that_of_autograd_through_the_cost(plant, disturb, index
 
 
 @pytest.mark.parametrize(
-    ("refine", "lenses", "planes"),
+    ("refine", "cameras", "interfaces"),
     [((), 1, 1), (EVERYTHING, 1, 1), (EVERYTHING, 2, 2), (("distortion", "plane_height"), 3, 2)],
-    ids=["poses and points", "everything", "two lenses and two waters", "three lenses and two levels"],
+    ids=["poses and points", "everything", "two cameras and two waters", "three cameras and two levels"],
 )
 @pytest.mark.parametrize("loss", ["squared", "huber"])
-@pytest.mark.parametrize("kept", [False, True], ids=["points eliminated", "some points kept"])
-def test_the_hessian_is_that_of_gauss_and_newton(plant, disturb, refine, lenses, planes, loss, kept):
-    planted = plant(points=10, noise=0.3, lenses=lenses, planes=planes)
-    terms = [planted.gravity, *(_measurements(planted.truth) if kept else ())]
-    held = torch.zeros(4, 6, dtype=torch.bool)
-    held[1, 2:4] = True
+@pytest.mark.parametrize("reduced", [False, True], ids=["points eliminated", "some points reduced"])
+def test_the_hessian_is_that_of_gauss_and_newton(plant, disturb, refine, cameras, interfaces, loss, reduced):
+    planted = plant(points=10, noise=0.3, cameras=cameras, interfaces=interfaces)
+    terms = [planted.gravity, *(_measurements(planted.truth) if reduced else ())]
+    fixed = torch.zeros(4, 6, dtype=torch.bool)
+    fixed[1, 2:4] = True
     expected_of = Expectations(focal=0.1, index_ratio=0.02, plane_tilt_deg=2.0, plane_height=3.0)
-    problem = planted.problem(loss=loss, terms=terms, held=held, refine=refine, expected=expected_of)
+    problem = planted.problem(loss=loss, terms=terms, fixed=fixed, refine=refine, expected=expected_of)
     state = disturb(planted.truth)
 
     matrix, gradient = dense_system(problem.linearize(state).system)
@@ -84,16 +86,16 @@ def test_the_order_of_the_observations_changes_nothing(plant, disturb, generator
     assert torch.equal(one.solve(1e-3).eliminated, two.solve(1e-3).eliminated)
 
 
-def test_a_camera_that_sees_a_point_twice_is_refused(plant):
+def test_a_view_that_sees_a_point_twice_is_refused(plant):
     seen = plant().observations
-    twice = Observations(*(torch.cat((value, value[:1])) for value in (seen.camera, seen.point, seen.pixels)))
+    twice = Observations(*(torch.cat((value, value[:1])) for value in (seen.view, seen.point, seen.pixels)))
 
-    with pytest.raises(ValueError, match="a camera sees a point twice; each pair of camera and point may occur once"):
+    with pytest.raises(ValueError, match="a view sees a point twice; each pair of view and point may occur once"):
         replace(plant(), observations=twice).problem()
 
 
 def test_a_perfect_state_costs_nothing(plant):
-    planted = plant(land=4, lenses=2, planes=2)
+    planted = plant(land=4, cameras=2, interfaces=2)
 
     assert planted.problem(terms=[planted.gravity]).linearize(planted.truth).cost < 1e-18
 
@@ -109,7 +111,7 @@ def test_the_cost_is_half_the_sum_of_hubers_loss_over_observations(plant, draw):
 
 
 def test_gravity_that_is_off_by_its_sigma_costs_what_a_pixel_off_by_its_sigma_does(plant):
-    planted = plant(cameras=3)
+    planted = plant(views=3)
     axis = torch.linalg.cross(planted.down_in_cam[:1], planted.down_in_cam.new_tensor([[0.0, 0.0, 1.0]]))
     turn = so3_exp(0.01 * torch.nn.functional.normalize(axis, dim=-1))
     down = planted.down_in_cam.clone()
@@ -121,18 +123,17 @@ def test_gravity_that_is_off_by_its_sigma_costs_what_a_pixel_off_by_its_sigma_do
     assert float(cost) == pytest.approx(0.5 * 0.3**2, rel=1e-4)
 
 
-def test_what_is_expected_of_lens_and_water_is_a_prior_on_what_varies_alone(plant):
+def test_what_is_expected_of_intrinsics_and_water_is_a_prior_on_what_varies_alone(plant):
     planted = plant()
     expected = Expectations(focal=0.01, index_ratio=0.1, plane_height=5.0)
     problem = planted.problem(refine=("focal", "plane_height"), expected=expected)
-    focal, offset = planted.truth.lens.focal * 1.02, planted.truth.planes[1] + 5.0
+    focal, offset = planted.truth.cameras.focal * 1.02, planted.truth.interfaces.offset + 5.0
     index_ratio = torch.tensor(1.3, dtype=torch.float64)
-    lens = replace(planted.truth.lens, focal=focal)
-    changed = replace(planted.truth, lens=lens, offset=offset, index_ratio=index_ratio)
+    other = changed(planted.truth, focal=focal, offset=offset, index_ratio=index_ratio)
 
-    cost = problem.linearize(changed).cost
+    cost = problem.linearize(other).cost
 
-    pixels = planted.problem().linearize(changed).cost
+    pixels = planted.problem().linearize(other).cost
     log = torch.tensor(1.02, dtype=torch.float64).log() / 0.01
     torch.testing.assert_close(cost - pixels, 0.5 * 0.3**2 * (log.square() + 1.0), rtol=1e-6, atol=0.0)
 
@@ -164,7 +165,7 @@ def test_a_point_behind_its_cameras_pulls_at_nothing(plant):
 
 def test_an_index_ratio_below_one_costs_infinitely_much(plant):
     planted = plant()
-    below = replace(planted.truth, index_ratio=torch.tensor(0.99, dtype=torch.float64))
+    below = changed(planted.truth, index_ratio=torch.tensor(0.99, dtype=torch.float64))
 
     assert planted.problem(refine=("index_ratio",)).linearize(below).cost == torch.inf
 
@@ -172,7 +173,7 @@ def test_an_index_ratio_below_one_costs_infinitely_much(plant):
 def _with_point_behind(state):
     points = state.points.clone()
     points[0] = points.new_tensor((0.0, 0.0, 500.0))
-    return replace(state, points=points)
+    return changed(state, points=points)
 
 
 def _measurements(truth):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from tests.bundle.changes import changed, tensor_of
 from torchrefrac.bundle import CenterPrior, Expectations, GravityPrior, HeightPrior, KnownPoints, ScaleBars, Waterline
 from torchrefrac.geometry import align_above_plane, heading_rotation, so3_exp
 
@@ -14,16 +15,16 @@ ONE = torch.ones(1, dtype=torch.float64)
 
 @pytest.fixture
 def elsewhere(disturb):
-    """`elsewhere(state)`: a little disturbed, and moved as no image can tell: turned, shifted and a tenth larger."""
+    """`elsewhere(state)`: a little disturbed, and moved as images leave open: turned, shifted and a tenth larger."""
 
     def move(state):
         turn = heading_rotation(torch.tensor(0.2, dtype=torch.float64))
         shift = torch.tensor((4.0, -3.0, 0.0), dtype=torch.float64)
         state = disturb(state, size=0.1)
-        return replace(
+        return changed(
             state,
-            rotation=state.rotation @ turn.T,
-            center=1.1 * state.center @ turn.T + shift,
+            rotation=state.views.rotation @ turn.T,
+            center=1.1 * state.views.center @ turn.T + shift,
             points=1.1 * state.points @ turn.T + shift,
         )
 
@@ -35,7 +36,7 @@ def test_without_a_measurement_the_scene_stays_as_large_as_it_began(plant, elsew
 
     report = planted.adjusted(elsewhere(planted.truth))
 
-    assert _scale(report.state, planted.truth) == pytest.approx(1.1, rel=0.01)
+    assert _scale(report.scene, planted.truth) == pytest.approx(1.1, rel=0.01)
 
 
 def test_a_scale_bar_fixes_the_scale(plant, elsewhere):
@@ -46,17 +47,17 @@ def test_a_scale_bar_fixes_the_scale(plant, elsewhere):
     report = planted.adjusted(elsewhere(planted.truth), terms=[ScaleBars(first, second, length, 0.1 * ONE)])
 
     assert report.costs[-1] < 1e-10
-    assert _scale(report.state, planted.truth) == pytest.approx(1.0, abs=1e-6)
+    assert _scale(report.scene, planted.truth) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_camera_height_fixes_the_scale(plant, elsewhere):
     planted = plant()
-    height = planted.truth.center[2:3, 2]
+    height = planted.truth.views.center[2:3, 2]
 
     report = planted.adjusted(elsewhere(planted.truth), terms=[HeightPrior(torch.tensor([2]), height, 0.1 * ONE)])
 
     assert report.costs[-1] < 1e-10
-    assert _scale(report.state, planted.truth) == pytest.approx(1.0, abs=1e-6)
+    assert _scale(report.scene, planted.truth) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_two_measured_lengths_that_disagree_meet_where_their_standard_deviations_say(plant):
@@ -69,7 +70,7 @@ def test_two_measured_lengths_that_disagree_meet_where_their_standard_deviations
 
     report = planted.adjusted(planted.truth, terms=[ScaleBars(*both, lengths, sigma)])
 
-    assert _scale(report.state, planted.truth) == pytest.approx(1.01, abs=1e-6)
+    assert _scale(report.scene, planted.truth) == pytest.approx(1.01, abs=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["points", "centres"])
@@ -79,12 +80,12 @@ def test_known_coordinates_fix_the_frame(plant, elsewhere, kind):
     information = 4.0 * torch.eye(3, dtype=torch.float64).expand(2, 3, 3)
     known = {
         "points": KnownPoints(index, planted.truth.points[index], information),
-        "centres": CenterPrior(index, planted.truth.center[index], information),
+        "centres": CenterPrior(index, planted.truth.views.center[index], information),
     }[kind]
 
     report = planted.adjusted(elsewhere(planted.truth), terms=[known])
 
-    _assert_same(report.state, planted.truth, 1e-5)
+    _assert_same(report.scene, planted.truth, 1e-5)
 
 
 def test_in_air_three_known_points_fix_the_frame(plant, elsewhere):
@@ -93,38 +94,38 @@ def test_in_air_three_known_points_fix_the_frame(plant, elsewhere):
     information = 4.0 * torch.eye(3, dtype=torch.float64).expand(3, 3, 3)
     start = elsewhere(planted.truth)
     tilt = so3_exp(torch.tensor((0.1, -0.05, 0.0), dtype=torch.float64))
-    tilted = replace(
-        start, rotation=start.rotation @ tilt.T, center=start.center @ tilt.T, points=start.points @ tilt.T
+    tilted = changed(
+        start, rotation=start.views.rotation @ tilt.T, center=start.views.center @ tilt.T, points=start.points @ tilt.T
     )
 
     report = planted.adjusted(tilted, terms=[KnownPoints(index, planted.truth.points[index], information)])
 
-    _assert_same(report.state, planted.truth, 1e-5)
+    _assert_same(report.scene, planted.truth, 1e-5)
 
 
-def test_points_on_the_shore_tell_how_high_the_water_stands_where_the_centres_are_known(plant, disturb):
+def test_points_on_the_shore_determine_how_high_the_water_stands_where_the_centres_are_known(plant, disturb):
     planted = _with_shore(plant(land=6, points=24), 6)
-    start = replace(disturb(planted.truth, size=0.2), offset=planted.truth.planes[1] + 2.0)
+    start = changed(disturb(planted.truth, size=0.2), offset=planted.truth.interfaces.offset + 2.0)
     shore = Waterline(torch.arange(6), torch.zeros(6, dtype=torch.long), 0.1 * torch.ones(6, dtype=torch.float64))
 
     report = planted.adjusted(start, refine=("plane_height",), terms=[_all_centers(planted.truth), shore])
 
     assert report.costs[-1] < 1e-10
-    assert float(report.state.planes[1][0]) == pytest.approx(0.0, abs=1e-5)
-    _assert_same(report.state, planted.truth, 1e-4)
+    assert float(report.scene.interfaces.offset[0]) == pytest.approx(0.0, abs=1e-5)
+    _assert_same(report.scene, planted.truth, 1e-4)
 
 
 def test_two_waters_find_their_heights_and_tilts(plant, disturb):
-    planted = plant(cameras=6, planes=2)
+    planted = plant(views=6, interfaces=2)
     truth = planted.truth
     level = torch.tensor(((0.0, 0.0, 1.0),) * 2, dtype=torch.float64)
-    start = replace(disturb(truth, size=0.2), normal=level, offset=torch.full_like(truth.planes[1], 1.0))
+    start = changed(disturb(truth, size=0.2), normal=level, offset=torch.full_like(truth.interfaces.offset, 1.0))
 
     report = planted.adjusted(start, refine=("plane_tilt", "plane_height"), terms=[_all_centers(truth)])
 
     assert report.costs[-1] < 1e-10
-    torch.testing.assert_close(report.state.planes[0], truth.planes[0], rtol=0.0, atol=1e-6)
-    torch.testing.assert_close(report.state.planes[1], truth.planes[1], rtol=0.0, atol=1e-4)
+    torch.testing.assert_close(report.scene.interfaces.normal, truth.interfaces.normal, rtol=0.0, atol=1e-6)
+    torch.testing.assert_close(report.scene.interfaces.offset, truth.interfaces.offset, rtol=0.0, atol=1e-4)
 
 
 def test_measured_gravity_and_a_height_stand_in_for_a_known_water(plant, disturb):
@@ -132,47 +133,47 @@ def test_measured_gravity_and_a_height_stand_in_for_a_known_water(plant, disturb
     planted = plant()
     tilt = so3_exp(torch.tensor((0.03, -0.02, 0.0), dtype=torch.float64))
     start = disturb(planted.truth, size=0.2)
-    start = replace(start, normal=start.planes[0] @ tilt.T, offset=start.planes[1] + 1.0)
+    start = changed(start, normal=start.interfaces.normal @ tilt.T, offset=start.interfaces.offset + 1.0)
     terms = [
         GravityPrior(planted.down_in_cam, 0.001),
-        HeightPrior(torch.tensor([0]), planted.truth.center[:1, 2], 0.1 * ONE),
+        HeightPrior(torch.tensor([0]), planted.truth.views.center[:1, 2], 0.1 * ONE),
     ]
 
     report = planted.adjusted(start, refine=("plane_tilt", "plane_height"), terms=terms)
 
-    state = report.state
+    state = report.scene
     assert report.costs[-1] < 1e-10
-    torch.testing.assert_close(state.planes[0], planted.truth.planes[0], rtol=0.0, atol=1e-6)
-    torch.testing.assert_close(-state.rotation[..., 2], planted.down_in_cam, rtol=0.0, atol=1e-6)
-    above = state.center[:, 2] - state.planes[1][0]
-    torch.testing.assert_close(above, planted.truth.center[:, 2], rtol=0.0, atol=1e-4)
+    torch.testing.assert_close(state.interfaces.normal, planted.truth.interfaces.normal, rtol=0.0, atol=1e-6)
+    torch.testing.assert_close(-state.views.rotation[..., 2], planted.down_in_cam, rtol=0.0, atol=1e-6)
+    above = state.views.center[:, 2] - state.interfaces.offset[0]
+    torch.testing.assert_close(above, planted.truth.views.center[:, 2], rtol=0.0, atol=1e-4)
 
 
-def test_two_lenses_find_their_focal_lengths(plant, disturb):
-    planted = plant(cameras=6, points=60, lenses=2)
+def test_two_cameras_find_their_focal_lengths(plant, disturb):
+    planted = plant(views=6, points=60, cameras=2)
     factor = torch.tensor(((1.02,), (0.97,)), dtype=torch.float64)
     start = disturb(planted.truth, size=0.2)
-    start = replace(start, lens=replace(start.lens, focal=start.lens.focal * factor))
+    start = changed(start, focal=start.cameras.focal * factor)
 
     report = planted.adjusted(start, refine=("focal",))
 
-    torch.testing.assert_close(report.state.lens.focal, planted.truth.lens.focal, rtol=1e-6, atol=0.0)
-    assert torch.equal(report.state.lens.distortion, planted.truth.lens.distortion)
+    torch.testing.assert_close(report.scene.cameras.focal, planted.truth.cameras.focal, rtol=1e-6, atol=0.0)
+    assert torch.equal(report.scene.cameras.distortion, planted.truth.cameras.distortion)
 
 
-def test_a_lens_of_which_nothing_is_known_is_found_whole(plant, disturb):
-    planted = plant(cameras=6, points=80, distortion=(-0.08, 0.02, 0.001, -0.002, 0.005))
-    truth, start = planted.truth.lens, disturb(planted.truth, size=0.1)
-    lens = replace(
-        truth,
+def test_a_camera_of_which_nothing_is_known_is_found_whole(plant, disturb):
+    planted = plant(views=6, points=80, distortion=(-0.08, 0.02, 0.001, -0.002, 0.005))
+    truth = planted.truth.cameras
+    start = changed(
+        disturb(planted.truth, size=0.1),
         focal=1.01 * truth.focal,
         principal_point=truth.principal_point + 4.0,
         distortion=torch.zeros_like(truth.distortion),
     )
 
-    report = planted.adjusted(replace(start, lens=lens), refine=("focal", "principal_point", "distortion"))
+    report = planted.adjusted(start, refine=("focal", "principal_point", "distortion"))
 
-    found = report.state.lens
+    found = report.scene.cameras
     torch.testing.assert_close(found.focal, truth.focal, rtol=0.0, atol=1e-3)
     torch.testing.assert_close(found.principal_point, truth.principal_point, rtol=0.0, atol=1e-3)
     torch.testing.assert_close(found.distortion, truth.distortion, rtol=0.0, atol=1e-5)
@@ -180,20 +181,22 @@ def test_a_lens_of_which_nothing_is_known_is_found_whole(plant, disturb):
 
 def test_a_free_index_ratio_is_found(plant, disturb):
     planted = plant(points=60, index_ratio=1.333)
-    start = replace(disturb(planted.truth, size=0.2), index_ratio=torch.tensor(1.25, dtype=torch.float64))
+    start = changed(disturb(planted.truth, size=0.2), index_ratio=torch.tensor(1.25, dtype=torch.float64))
 
     report = planted.adjusted(start, refine=("index_ratio",))
 
     assert report.costs[-1] < 1e-10
-    assert float(report.state.index_ratio) == pytest.approx(1.333, abs=1e-7)
+    assert float(report.scene.interfaces.index_ratio) == pytest.approx(1.333, abs=1e-7)
 
 
 def test_what_is_expected_of_the_index_ratio_holds_it_as_its_standard_deviation_says(plant, disturb):
     planted = plant(index_ratio=1.333)
-    start = replace(disturb(planted.truth, size=0.2), index_ratio=torch.tensor(1.32, dtype=torch.float64))
+    start = changed(disturb(planted.truth, size=0.2), index_ratio=torch.tensor(1.32, dtype=torch.float64))
 
     sure, unsure = (
-        planted.adjusted(start, refine=("index_ratio",), expected=Expectations(index_ratio=sigma)).state.index_ratio
+        planted.adjusted(
+            start, refine=("index_ratio",), expected=Expectations(index_ratio=sigma)
+        ).scene.interfaces.index_ratio
         for sigma in (1e-9, 1e3)
     )
 
@@ -202,47 +205,47 @@ def test_what_is_expected_of_the_index_ratio_holds_it_as_its_standard_deviation_
 
 
 @in_water_and_air
-@pytest.mark.parametrize("refine", [(), ("focal",)], ids=["lens fixed", "focal"])
-def test_held_cameras_stay_as_they_are_to_the_last_bit(plant, disturb, index_ratio, refine):
+@pytest.mark.parametrize("refine", [(), ("focal",)], ids=["intrinsics fixed", "focal"])
+def test_fixed_views_stay_as_they_are_to_the_last_bit(plant, disturb, index_ratio, refine):
     planted = plant(noise=0.5, index_ratio=index_ratio)
     start = disturb(planted.truth, size=0.3)
-    held = torch.zeros(4, 6, dtype=torch.bool)
-    held[0], held[2] = True, True
+    fixed = torch.zeros(4, 6, dtype=torch.bool)
+    fixed[0], fixed[2] = True, True
 
-    state = planted.adjusted(start, held=held, refine=refine).state
+    state = planted.adjusted(start, fixed=fixed, refine=refine).scene
 
-    for before, after in ((start.rotation, state.rotation), (start.center, state.center)):
+    for before, after in ((start.views.rotation, state.views.rotation), (start.views.center, state.views.center)):
         assert torch.equal(after[[0, 2]], before[[0, 2]])
         assert (after[[1, 3]] != before[[1, 3]]).any(dim=-1).all()
 
 
 @in_water_and_air
 @pytest.mark.parametrize(("part", "name"), [(slice(0, 3), "rotation"), (slice(3, 6), "center")])
-@pytest.mark.parametrize("cameras", [slice(0, 1), slice(None)], ids=["one camera", "all cameras"])
-def test_a_part_of_a_pose_is_held_to_the_last_bit(plant, disturb, index_ratio, part, name, cameras):
+@pytest.mark.parametrize("views", [slice(0, 1), slice(None)], ids=["one view", "all views"])
+def test_a_part_of_a_pose_is_fixed_to_the_last_bit(plant, disturb, index_ratio, part, name, views):
     planted = plant(noise=0.5, index_ratio=index_ratio)
     start = disturb(planted.truth, size=0.3)
-    held = torch.zeros(4, 6, dtype=torch.bool)
-    held[cameras, part] = True
+    fixed = torch.zeros(4, 6, dtype=torch.bool)
+    fixed[views, part] = True
 
-    report = planted.adjusted(start, held=held)
+    report = planted.adjusted(start, fixed=fixed)
 
-    kept, other = (name, "center") if name == "rotation" else (name, "rotation")
-    assert torch.equal(getattr(report.state, kept)[cameras], getattr(start, kept)[cameras])
-    assert (getattr(report.state, other)[cameras] != getattr(start, other)[cameras]).any()
+    other = "center" if name == "rotation" else "rotation"
+    assert torch.equal(tensor_of(report.scene, name)[views], tensor_of(start, name)[views])
+    assert (tensor_of(report.scene, other)[views] != tensor_of(start, other)[views]).any()
     assert report.costs[-1] < report.costs[0]
 
 
-def test_cameras_that_are_held_where_they_were_find_the_scene_in_their_frame(plant, disturb):
+def test_views_that_are_fixed_where_they_were_find_the_scene_in_their_frame(plant, disturb):
     planted = plant()
     start = disturb(planted.truth, size=0.3)
-    held = torch.zeros(4, 6, dtype=torch.bool)
-    held[:2] = True
-    start.rotation[:2], start.center[:2] = planted.truth.rotation[:2], planted.truth.center[:2]
+    fixed = torch.zeros(4, 6, dtype=torch.bool)
+    fixed[:2] = True
+    start.views.rotation[:2], start.views.center[:2] = planted.truth.views.rotation[:2], planted.truth.views.center[:2]
 
-    report = planted.adjusted(start, held=held)
+    report = planted.adjusted(start, fixed=fixed)
 
-    _assert_same(report.state, planted.truth, 1e-5)
+    _assert_same(report.scene, planted.truth, 1e-5)
 
 
 def test_points_whose_coordinates_are_certain_go_there_whatever_the_pixels_say(plant):
@@ -254,7 +257,7 @@ def test_points_whose_coordinates_are_certain_go_there_whatever_the_pixels_say(p
 
     report = planted.adjusted(planted.truth, terms=[known])
 
-    torch.testing.assert_close(report.state.points[index], known.position, rtol=0.0, atol=1e-6)
+    torch.testing.assert_close(report.scene.points[index], known.position, rtol=0.0, atol=1e-6)
     assert report.costs[-1] > 1e-3
 
 
@@ -275,24 +278,24 @@ def test_cauchys_loss_too_finds_the_scene_in_spite_of_a_few_wrong_observations(p
 
     report = planted.with_wrong_observations(draw).adjusted(start, loss="cauchy", loss_scale=0.01)
 
-    assert _center_error(report.state, planted.truth) < 0.1
+    assert _center_error(report.scene, planted.truth) < 0.1
 
 
 def test_from_nearby_a_truncated_loss_leaves_wrong_observations_no_say_at_all(plant, disturb, draw):
     planted = plant(points=60)
     wrong = planted.with_wrong_observations(draw)
-    start = wrong.adjusted(disturb(planted.truth, size=0.1), loss="cauchy", loss_scale=0.1).state
+    start = wrong.adjusted(disturb(planted.truth, size=0.1), loss="cauchy", loss_scale=0.1).scene
 
     report = wrong.adjusted(start, loss="truncated", loss_scale=1.0)
 
-    assert _center_error(report.state, planted.truth) < 1e-6
+    assert _center_error(report.scene, planted.truth) < 1e-6
 
 
 def _all_centers(truth):
     """Known to a millimetre."""
-    count = len(truth.center)
+    count = len(truth.views.center)
     information = 100.0 * torch.eye(3, dtype=torch.float64).expand(count, 3, 3)
-    return CenterPrior(torch.arange(count), truth.center, information)
+    return CenterPrior(torch.arange(count), truth.views.center, information)
 
 
 def _with_shore(planted, count):
@@ -300,21 +303,25 @@ def _with_shore(planted, count):
     points = planted.truth.points.clone()
     points[:count, 2] = 0.0
     seen = planted.observations
-    pixels, valid = planted.truth.cameras(planted.links, seen.camera).project(points[seen.point])
+    pixels, valid = planted.truth.camera_of(seen.view).project(points[seen.point])
     assert valid.all()
-    return replace(planted, truth=replace(planted.truth, points=points), observations=replace(seen, pixels=pixels))
+    return replace(planted, truth=changed(planted.truth, points=points), observations=replace(seen, pixels=pixels))
 
 
 def _scale(state, truth):
     """How much larger than the truth."""
-    return float(1.0 / align_above_plane(state.center, truth.center).scale)
+    return float(1.0 / align_above_plane(state.views.center, truth.views.center).scale)
 
 
 def _center_error(state, truth):
-    return (align_above_plane(state.center, truth.center).apply(state.center) - truth.center).norm(dim=-1).amax()
+    return (
+        (align_above_plane(state.views.center, truth.views.center).apply(state.views.center) - truth.views.center)
+        .norm(dim=-1)
+        .amax()
+    )
 
 
 def _assert_same(state, truth, tolerance):
     """Without any alignment."""
     for name in ("rotation", "center", "points"):
-        torch.testing.assert_close(getattr(state, name), getattr(truth, name), rtol=0.0, atol=tolerance)
+        torch.testing.assert_close(tensor_of(state, name), tensor_of(truth, name), rtol=0.0, atol=tolerance)

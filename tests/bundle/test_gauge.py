@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from tests.bundle.bundle_oracles import dense_system, jacobian_of, null_space_of, projector, weighted_residuals
+from tests.bundle.changes import changed
 from tests.tolerances import assert_matches
 from torchrefrac.bundle import (
     BundleProblem,
@@ -13,13 +14,13 @@ from torchrefrac.bundle import (
     Expectations,
     HeightPrior,
     KnownPoints,
-    Links,
     ScaleBars,
     Waterline,
 )
 from torchrefrac.bundle.gauge import gauge_directions
 from torchrefrac.geometry import heading_rotation, so3_exp
 from torchrefrac.optim import Step
+from torchrefrac.scene import Interfaces
 
 in_water_and_air = pytest.mark.parametrize(("index_ratio", "freedoms"), [(1.333, 4), (1.0, 7)], ids=["water", "air"])
 WATER, AIR = 1.333, 1.0
@@ -28,7 +29,7 @@ ONE = torch.ones(1, dtype=torch.float64)
 
 def _centers(truth, *images):
     index = torch.tensor(images)
-    return CenterPrior(index, truth.center[index], torch.eye(3, dtype=torch.float64).expand(len(index), 3, 3))
+    return CenterPrior(index, truth.views.center[index], torch.eye(3, dtype=torch.float64).expand(len(index), 3, 3))
 
 
 def _points(truth, *points):
@@ -37,7 +38,7 @@ def _points(truth, *points):
 
 
 def _height(truth):
-    return HeightPrior(torch.tensor([1]), truth.center[1:2, 2], ONE)
+    return HeightPrior(torch.tensor([1]), truth.views.center[1:2, 2], ONE)
 
 
 def _bar(truth):
@@ -52,7 +53,7 @@ def _shore(truth):
 BOTH = ("plane_tilt", "plane_height")
 CASES = {
     "a known water": (WATER, 4, {}),
-    "a known water and a free lens": (WATER, 4, {"refine": ("focal", "radial")}),
+    "a known water and free intrinsics": (WATER, 4, {"refine": ("focal", "radial")}),
     "a known water and a free index": (WATER, 4, {"refine": ("index_ratio",)}),
     "a known water and gravity": (WATER, 4, {"gravity": True}),
     "a height above the water": (WATER, 3, {"terms": [_height]}),
@@ -64,10 +65,10 @@ CASES = {
     "one known point on the shore": (WATER, 2, {"terms": [lambda t: _points(t, 0)]}),
     "two known points under water": (WATER, 0, {"terms": [lambda t: _points(t, 9, 8)]}),
     "a bar and a centre": (WATER, 1, {"terms": [_bar, lambda t: _centers(t, 2)]}),
-    "a held camera above water": (WATER, 0, {"held": (slice(0, 1), slice(None))}),
-    "a held centre above water": (WATER, 1, {"held": (slice(1, 2), slice(3, 6))}),
-    "a held height above water": (WATER, 3, {"held": (slice(1, 2), slice(5, 6))}),
-    "held rotations above water": (WATER, 3, {"held": (slice(None), slice(0, 3))}),
+    "a fixed camera above water": (WATER, 0, {"fixed": (slice(0, 1), slice(None))}),
+    "a fixed centre above water": (WATER, 1, {"fixed": (slice(1, 2), slice(3, 6))}),
+    "a fixed height above water": (WATER, 3, {"fixed": (slice(1, 2), slice(5, 6))}),
+    "fixed rotations above water": (WATER, 3, {"fixed": (slice(None), slice(0, 3))}),
     "a free water": (WATER, 7, {"refine": BOTH}),
     "a free water and a free index": (WATER, 7, {"refine": ("index_ratio", *BOTH)}),
     "a free water and gravity": (WATER, 5, {"refine": BOTH, "gravity": True}),
@@ -87,7 +88,7 @@ CASES = {
     "two known levels": (WATER, 3, {"levels": 2}),
     "two free waters": (WATER, 7, {"refine": BOTH, "levels": 2}),
     "air": (AIR, 7, {}),
-    "air and a free lens": (AIR, 7, {"refine": ("focal", "radial")}),
+    "air and free intrinsics": (AIR, 7, {"refine": ("focal", "radial")}),
     "air and gravity": (AIR, 5, {"gravity": True}),
     "a bar in air": (AIR, 6, {"terms": [_bar]}),
     "one centre in air": (AIR, 4, {"terms": [lambda t: _centers(t, 2)]}),
@@ -95,7 +96,7 @@ CASES = {
     "three centres in air": (AIR, 0, {"terms": [lambda t: _centers(t, 2, 0, 1)]}),
     "one known point in air": (AIR, 4, {"terms": [lambda t: _points(t, 9)]}),
     "three known points in air": (AIR, 0, {"terms": [lambda t: _points(t, 9, 8, 4)]}),
-    "a held camera in air": (AIR, 1, {"held": (slice(0, 1), slice(None))}),
+    "a fixed camera in air": (AIR, 1, {"fixed": (slice(0, 1), slice(None))}),
     "a height in air": (AIR, 6, {"terms": [_height]}),
 }
 
@@ -107,14 +108,14 @@ def case_of(plant):
     def make(name):
         index_ratio, _, options = CASES[name]
         options = dict(options)
-        planted = plant(cameras=5, points=14, index_ratio=index_ratio)
+        planted = plant(views=5, points=14, index_ratio=index_ratio)
         planted = _with(planted, shore=2, levels=options.pop("levels", 1))
         terms = [term(planted.truth) for term in options.pop("terms", [])]
         terms += [planted.gravity] if options.pop("gravity", False) else []
-        held = torch.zeros(5, 6, dtype=torch.bool)
-        if "held" in options:
-            held[options.pop("held")] = True
-        return planted, planted.problem(terms=terms, held=held, **options)
+        fixed = torch.zeros(5, 6, dtype=torch.bool)
+        if "fixed" in options:
+            fixed[options.pop("fixed")] = True
+        return planted, planted.problem(terms=terms, fixed=fixed, **options)
 
     return make
 
@@ -148,7 +149,7 @@ def test_away_from_the_minimum_too_the_points_can_follow_so_that_the_cost_is_fla
     """To first order, wherever the measurements themselves notice nothing."""
     planted, problem = case_of(name)
     state, known = disturb(planted.truth, size=0.3), replace(problem.options, expected=Expectations())
-    problem = BundleProblem.create(state, problem.layout, planted.observations, known, problem.terms)
+    problem = BundleProblem.create(planted.seen_in(state), problem.layout, known, problem.terms)
 
     system = problem.linearize(state).system
 
@@ -162,8 +163,8 @@ def test_away_from_the_minimum_too_the_points_can_follow_so_that_the_cost_is_fla
         assert ((gradient @ whole) / (gradient.abs() @ whole.abs())).abs().amax() < 1e-8
 
 
-def test_shared_unknowns_of_the_lens_take_no_part_in_the_gauge(plant):
-    planted = plant(lenses=2)
+def test_shared_unknowns_of_the_cameras_take_no_part_in_the_gauge(plant):
+    planted = plant(cameras=2)
 
     gauge = gauge_directions(planted.truth, planted.layout(("focal", "distortion")))
 
@@ -171,15 +172,15 @@ def test_shared_unknowns_of_the_lens_take_no_part_in_the_gauge(plant):
     assert (gauge[24:] == 0.0).all()
 
 
-@pytest.mark.parametrize("name", [name for name, (_, _, options) in CASES.items() if "held" in options])
-def test_what_is_held_takes_no_part_in_the_gauge_to_the_last_bit(case_of, name):
+@pytest.mark.parametrize("name", [name for name, (_, _, options) in CASES.items() if "fixed" in options])
+def test_what_is_fixed_takes_no_part_in_the_gauge_to_the_last_bit(case_of, name):
     planted, problem = case_of(name)
 
     gauge = problem.linearize(planted.truth).system.null_space
 
     if gauge is not None:
-        held = problem.layout.held.flatten().nonzero()[:, 0]
-        assert (gauge[held] == 0.0).all()
+        fixed = problem.layout.fixed.flatten().nonzero()[:, 0]
+        assert (gauge[fixed] == 0.0).all()
 
 
 @pytest.mark.parametrize("move", ["x", "y", "heading", "scale"])
@@ -208,7 +209,7 @@ def test_through_water_lifting_or_tilting_the_scene_is_seen(plant, move):
 
 @in_water_and_air
 def test_along_the_gauge_the_cost_grows_with_the_fourth_power_of_the_step(plant, index_ratio, freedoms):
-    planted = plant(cameras=3, points=10, index_ratio=index_ratio)
+    planted = plant(views=3, points=10, index_ratio=index_ratio)
     problem = planted.problem()
     system = problem.linearize(planted.truth).system
     matrix, _ = dense_system(system)
@@ -239,10 +240,10 @@ def test_a_step_does_not_drift_along_the_gauge(plant, disturb, index_ratio, free
 
 
 def _moved(state, turn, shift, scale):
-    return replace(
+    return changed(
         state,
-        rotation=state.rotation @ turn.T,
-        center=scale * state.center @ turn.T + shift,
+        rotation=state.views.rotation @ turn.T,
+        center=scale * state.views.center @ turn.T + shift,
         points=scale * state.points @ turn.T + shift,
     )
 
@@ -251,10 +252,12 @@ def _with(planted, shore, levels):
     """The first points put on the water, and the water of the last cameras two centimetres higher."""
     points = planted.truth.points.clone()
     points[:shore, 2] = 0.0
-    normal, offset = (value.expand(levels, *value.shape[1:]) for value in planted.truth.planes)
-    truth = replace(planted.truth, points=points, normal=normal, offset=offset + 2.0 * torch.arange(levels))
-    links = Links(planted.links.lens, torch.arange(5) % levels)
+    water = planted.truth.interfaces
+    normal, ratio = water.normal.expand(levels, 3), water.index_ratio.expand(levels)
+    interfaces = Interfaces(normal, water.offset + 2.0 * torch.arange(levels), ratio)
+    views = replace(planted.truth.views, interface=torch.arange(5) % levels)
+    truth = replace(planted.truth, views=views, interfaces=interfaces, points=points)
     seen = planted.observations
-    pixels, valid = truth.cameras(links, seen.camera).project(points[seen.point])
+    pixels, valid = truth.camera_of(seen.view).project(points[seen.point])
     assert valid.all()
-    return replace(planted, truth=truth, links=links, observations=replace(seen, pixels=pixels))
+    return replace(planted, truth=truth, observations=replace(seen, pixels=pixels))

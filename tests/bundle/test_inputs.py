@@ -6,18 +6,20 @@ from dataclasses import replace
 import pytest
 import torch
 
-from torchrefrac.bundle import Observations, UnadjustableError, adjust, check_inputs
+from tests.bundle.changes import changed, tensor_of
+from torchrefrac.bundle import UnadjustableError, adjust, check_inputs
+from torchrefrac.scene import Observations, SceneError
 
 NAMES = ("left.jpg", "right.jpg", "far.jpg", "low.jpg")
 
 
 @pytest.fixture
 def refusal():
-    """`refusal(planted, ...)`: what `check_inputs` says; changes are those of the state."""
+    """`refusal(planted, ...)`: what `check_inputs` says; changes are those of the scene."""
 
-    def message(planted, held=None, names=None, **changes):
+    def message(planted, fixed=None, names=None, **changes):
         with pytest.raises(UnadjustableError) as caught:
-            check_inputs(replace(planted.truth, **changes), planted.observations, planted.links, held, names)
+            check_inputs(changed(_named(planted, names), **changes), fixed)
         return str(caught.value)
 
     return message
@@ -25,39 +27,49 @@ def refusal():
 
 @pytest.mark.parametrize("index_ratio", [1.333, 1.0], ids=["water", "air"])
 def test_a_planted_scene_is_not_refused(plant, index_ratio):
-    planted = plant(lenses=2, planes=2, land=3, index_ratio=index_ratio)
+    planted = plant(cameras=2, interfaces=2, land=3, index_ratio=index_ratio)
 
-    check_inputs(planted.truth, planted.observations, planted.links)
+    check_inputs(planted.truth)
 
 
-@pytest.mark.parametrize("name", ["rotation", "center", "points", "index_ratio", "normal", "offset"])
+@pytest.mark.parametrize(
+    ("table", "name"),
+    [
+        ("views.", "rotation"),
+        ("views.", "center"),
+        ("", "points"),
+        ("interfaces.", "index_ratio"),
+        ("interfaces.", "normal"),
+        ("interfaces.", "offset"),
+    ],
+)
 @pytest.mark.parametrize("value", [torch.nan, torch.inf])
-def test_a_state_that_is_not_finite_is_refused(plant, refusal, name, value):
+def test_a_scene_that_is_not_finite_is_refused(plant, refusal, table, name, value):
     planted = plant()
-    broken = getattr(planted.truth, name).clone()
+    broken = tensor_of(planted.truth, name).clone()
     broken[(-1,) * broken.dim()] = value
 
     message = refusal(planted, **{name: broken})
 
-    assert message == f"state.{name} is not finite"
+    assert message == f"scene.{table}{name} is not finite"
 
 
 @pytest.mark.parametrize("name", ["focal", "principal_point", "distortion"])
-def test_a_lens_that_is_not_finite_is_refused(plant, refusal, name):
-    planted = plant(lenses=2)
-    broken = getattr(planted.truth.lens, name).clone()
+def test_a_camera_that_is_not_finite_is_refused(plant, refusal, name):
+    planted = plant(cameras=2)
+    broken = tensor_of(planted.truth, name).clone()
     broken[1, 0] = torch.nan
 
-    message = refusal(planted, lens=replace(planted.truth.lens, **{name: broken}))
+    message = refusal(planted, **{name: broken})
 
-    assert message == f"state.lens.{name} is not finite"
+    assert message == f"scene.cameras.{name} is not finite"
 
 
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("camera", 4, "observations.camera has ids outside 0 to 3"),
-        ("camera", -1, "observations.camera has ids outside 0 to 3"),
+        ("view", 4, "observations.view has ids outside 0 to 3"),
+        ("view", -1, "observations.view has ids outside 0 to 3"),
         ("point", 30, "observations.point has ids outside 0 to 29"),
         ("point", -2, "observations.point has ids outside 0 to 29"),
     ],
@@ -67,18 +79,18 @@ def test_ids_out_of_range_are_refused(plant, refusal, name, value, message):
     ids = getattr(planted.observations, name).clone()
     ids[5] = value
 
-    told = refusal(replace(planted, observations=replace(planted.observations, **{name: ids})))
+    found = refusal(replace(planted, observations=replace(planted.observations, **{name: ids})))
 
-    assert told == message
+    assert found == message
 
 
 def test_pixels_that_are_not_finite_are_refused_with_their_images(plant, refusal):
     planted = _with_broken_pixels(plant(), 7, 3)
-    camera = planted.observations.camera
+    view = planted.observations.view
 
     message = refusal(planted, names=NAMES)
 
-    first, second = (NAMES[int(camera[row])] for row in (3, 7))
+    first, second = (NAMES[int(view[row])] for row in (3, 7))
     assert message == (f"pixels are not finite in observation 3 ({first}), 7 ({second}); leave such observations out")
 
 
@@ -87,12 +99,12 @@ def test_a_message_shows_the_first_four_of_many(plant, refusal):
 
     message = refusal(planted)
 
-    assert re.fullmatch(r".* observation 10 \(camera \d\), 11 .*, 12 .*, 13 .* and 5 more; leave .*", message)
+    assert re.fullmatch(r".* observation 10 \(\d\), 11 .*, 12 .*, 13 .* and 5 more; leave .*", message)
 
 
 def test_cameras_below_their_water_are_refused(plant, refusal):
-    planted = plant(planes=2)
-    offset = planted.truth.planes[1] + torch.tensor((0.0, 100.0))
+    planted = plant(interfaces=2)
+    offset = planted.truth.interfaces.offset + torch.tensor((0.0, 100.0))
 
     message = refusal(planted, names=NAMES, offset=offset)
 
@@ -104,9 +116,9 @@ def test_cameras_below_their_water_are_refused(plant, refusal):
 
 def test_in_air_there_is_no_water_to_be_below(plant):
     planted = plant(index_ratio=1.0)
-    sunk = replace(planted.truth, offset=planted.truth.planes[1] + 100.0)
+    sunk = changed(planted.truth, offset=planted.truth.interfaces.offset + 100.0)
 
-    check_inputs(sunk, planted.observations, planted.links)
+    check_inputs(sunk)
 
 
 def test_points_that_fewer_than_two_images_see_are_refused(plant, refusal):
@@ -131,28 +143,28 @@ def test_an_image_without_observations_is_refused(plant, refusal):
     )
 
 
-def test_a_held_image_may_see_nothing(plant):
+def test_a_fixed_image_may_see_nothing(plant):
     planted = _without_image(plant(), 2)
-    held = torch.zeros(4, 6, dtype=torch.bool)
-    held[2] = True
+    fixed = torch.zeros(4, 6, dtype=torch.bool)
+    fixed[2] = True
 
-    check_inputs(planted.truth, planted.observations, planted.links, held)
+    check_inputs(planted.seen_in(planted.truth), fixed)
 
 
-def test_an_image_of_which_a_part_is_held_may_not(plant, refusal):
+def test_an_image_of_which_a_part_is_fixed_may_not(plant, refusal):
     planted = _without_image(plant(), 2)
-    held = torch.zeros(4, 6, dtype=torch.bool)
-    held[2, 3:] = True
+    fixed = torch.zeros(4, 6, dtype=torch.bool)
+    fixed[2, 3:] = True
 
-    assert "apart from the largest: camera 2" in refusal(planted, held)
+    assert "apart from the largest: 2" in refusal(planted, fixed)
 
 
 def test_parts_that_no_points_connect_are_refused_and_the_largest_is_not_named(plant, refusal):
-    planted = plant(cameras=5)
+    planted = plant(views=5)
     point = torch.arange(30)
-    camera = torch.where(point < 20, point % 3, 3)  # images 0, 1, 2 and images 3, 4
+    view = torch.where(point < 20, point % 3, 3)  # images 0, 1, 2 and images 3, 4
     second = torch.where(point < 20, (point + 1) % 3, 4)
-    seen = Observations(torch.cat((camera, second)), torch.cat((point, point)), torch.zeros(60, 2, dtype=torch.float64))
+    seen = Observations(torch.cat((view, second)), torch.cat((point, point)), torch.zeros(60, 2, dtype=torch.float64))
 
     message = refusal(replace(planted, observations=seen), names=(*NAMES, "last.jpg"))
 
@@ -162,17 +174,47 @@ def test_parts_that_no_points_connect_are_refused_and_the_largest_is_not_named(p
     )
 
 
-def test_adjust_refuses_what_the_check_refuses_unless_told_otherwise(plant):
+def test_adjust_refuses_what_the_check_refuses_unless_asked_not_to(plant):
     planted = _without_image(plant(), 2)
 
-    with pytest.raises(UnadjustableError, match="apart from the largest: camera 2"):
-        adjust(planted.truth, planted.observations)
+    with pytest.raises(UnadjustableError, match="apart from the largest: 2"):
+        adjust(planted.seen_in(planted.truth))
 
     assert planted.adjusted(planted.truth, check=False).status == "converged"
 
 
 def test_the_refusal_is_a_value_error():
     assert issubclass(UnadjustableError, ValueError)
+
+
+def test_interfaces_of_two_index_ratios_are_refused(plant):
+    planted = plant(interfaces=2)
+    scene = changed(planted.truth, index_ratio=torch.tensor((1.33, 1.34), dtype=torch.float64))
+
+    with pytest.raises(SceneError, match=r"index ratios \[1.33, 1.34\], but only one can be used here"):
+        check_inputs(scene)
+
+
+@pytest.mark.parametrize("name", ["view", "point", "observation"])
+def test_a_scene_of_which_a_part_is_left_out_is_refused(plant, name):
+    scene = plant().truth
+    masks = {
+        "view": scene.views.registered.clone(),
+        "point": scene.placed.clone(),
+        "observation": scene.accepted.clone(),
+    }
+    masks[name][1] = False
+    views = replace(scene.views, registered=masks["view"])
+    scene = replace(scene, views=views, placed=masks["point"], accepted=masks["observation"])
+
+    with pytest.raises(UnadjustableError, match=f"not every {name} takes part; adjust `scene.part\\(\\).scene`"):
+        check_inputs(scene)
+
+
+def _named(planted, names):
+    """The true scene as it is seen, with names of its views."""
+    scene = planted.seen_in(planted.truth)
+    return scene if names is None else replace(scene, views=replace(scene.views, names=names))
 
 
 def _with_broken_pixels(planted, *rows):
@@ -183,11 +225,11 @@ def _with_broken_pixels(planted, *rows):
 
 def _without_image(planted, image):
     """What the other images see, of points that two of them see."""
-    planted = planted.without(planted.observations.camera == image)
+    planted = planted.without(planted.observations.view == image)
     seen = planted.observations
     alone = torch.bincount(seen.point, minlength=30) < 2
     keep = (~alone).nonzero()[:, 0]
     new = torch.cumsum((~alone).long(), dim=0) - 1
     seen = seen[~alone[seen.point]]
     seen = replace(seen, point=new[seen.point])
-    return replace(planted, truth=replace(planted.truth, points=planted.truth.points[keep]), observations=seen)
+    return replace(planted, truth=changed(planted.truth, points=planted.truth.points[keep]), observations=seen)

@@ -1,14 +1,14 @@
 """Weighted residuals and their derivatives, row by row."""
 
 import shutil
-from dataclasses import replace
 
 import pytest
 import torch
 
 from tests.bundle.bundle_oracles import dense_jacobian, errors_of, jacobian_of
+from tests.bundle.changes import changed
 from tests.tolerances import assert_matches
-from torchrefrac.bundle.rows import IMPOSSIBLE_PX, LENS, WATER, RowModel, observation_rows
+from torchrefrac.bundle.rows import IMPOSSIBLE_PX, INTRINSICS, WATER, RowModel, observation_rows
 from torchrefrac.optim import robust
 
 LOSSES = ("squared", "huber", "cauchy", "truncated")
@@ -22,36 +22,44 @@ def rows_of():
 
     def make(planted, state, refine=(), compiled=False, **options):
         model = RowModel(
-            tuple(name for name in LENS if name in refine), tuple(name for name in WATER if name in refine), **options
+            tuple(name for name in INTRINSICS if name in refine),
+            tuple(name for name in WATER if name in refine),
+            **options,
         )
-        return observation_rows(model, state, planted.links, planted.observations, compiled)
+        return observation_rows(model, state, planted.observations, compiled)
 
     return make
 
 
-@pytest.mark.parametrize("name", [*LENS, *WATER])
-@pytest.mark.parametrize(("lenses", "planes"), [(1, 1), (2, 1), (1, 2), (3, 2)])
-def test_every_unknown_has_the_derivative_of_autograd_through_the_camera(plant, disturb, rows_of, name, lenses, planes):
-    planted = plant(points=8, land=1, lenses=lenses, planes=planes, distortion=(-0.1, 0.03, 0.001, -0.002, 0.01))
+@pytest.mark.parametrize("name", [*INTRINSICS, *WATER])
+@pytest.mark.parametrize(("cameras", "interfaces"), [(1, 1), (2, 1), (1, 2), (3, 2)])
+def test_every_unknown_has_the_derivative_of_autograd_through_the_camera(
+    plant, disturb, rows_of, name, cameras, interfaces
+):
+    planted = plant(
+        points=8, land=1, cameras=cameras, interfaces=interfaces, distortion=(-0.1, 0.03, 0.001, -0.002, 0.01)
+    )
 
     _assert_rows_of_autograd(planted, disturb(planted.truth), rows_of, (name,))
 
 
-@pytest.mark.parametrize("lens", [("focal", "principal_point", "radial"), ("focal", "principal_point", "distortion")])
+@pytest.mark.parametrize(
+    "intrinsics", [("focal", "principal_point", "radial"), ("focal", "principal_point", "distortion")]
+)
 @pytest.mark.parametrize("index_ratio", [1.333, 1.0], ids=["water", "air"])
-def test_all_unknowns_together_stand_in_their_order(plant, disturb, rows_of, lens, index_ratio):
-    planted = plant(points=8, lenses=2, planes=2, index_ratio=index_ratio)
+def test_all_unknowns_together_stand_in_their_order(plant, disturb, rows_of, intrinsics, index_ratio):
+    planted = plant(points=8, cameras=2, interfaces=2, index_ratio=index_ratio)
 
-    _assert_rows_of_autograd(planted, disturb(planted.truth), rows_of, (*lens, *ALL_WATER))
+    _assert_rows_of_autograd(planted, disturb(planted.truth), rows_of, (*intrinsics, *ALL_WATER))
 
 
 def test_the_last_row_is_the_projection_minus_the_pixel(plant, disturb, rows_of):
-    planted = plant(noise=0.5, lenses=2, planes=2)
+    planted = plant(noise=0.5, cameras=2, interfaces=2)
     state = disturb(planted.truth)
 
     rows, _ = rows_of(planted, state, loss="squared")
 
-    assert_matches(rows[:, -1].T, errors_of(state, planted.links, planted.observations), slack=1e3)
+    assert_matches(rows[:, -1].T, errors_of(state, planted.observations), slack=1e3)
 
 
 @every_loss
@@ -62,7 +70,7 @@ def test_a_robust_loss_scales_all_rows_of_an_observation_by_the_root_of_its_weig
 
     rows, cost = rows_of(planted, state, refine, loss=loss, loss_scale=1.5)
 
-    square = errors_of(state, planted.links, planted.observations).square().sum(dim=-1)
+    square = errors_of(state, planted.observations).square().sum(dim=-1)
     rho, weight = robust(square, loss, 1.5)
     assert loss == "squared" or 0 < int((weight < 0.9).sum()) < len(weight)
     assert_matches(rows, plain * weight.sqrt(), slack=10.0)
@@ -74,7 +82,7 @@ def test_an_impossible_observation_weighs_nothing_and_costs_as_one_that_is_far_o
     planted = plant()
     points = planted.truth.points.clone()
     points[3] = points.new_tensor((0.0, 0.0, 500.0))
-    state = replace(planted.truth, points=points)
+    state = changed(planted.truth, points=points)
 
     rows, cost = rows_of(planted, state, ("radial", *ALL_WATER), loss=loss)
 
@@ -87,32 +95,33 @@ def test_an_impossible_observation_weighs_nothing_and_costs_as_one_that_is_far_o
 
 
 def test_a_camera_below_its_water_sees_nothing(plant, rows_of):
-    planted = plant(planes=2)
-    offset = planted.truth.planes[1].clone()
+    planted = plant(interfaces=2)
+    offset = planted.truth.interfaces.offset.clone()
     offset[1] = 100.0
 
-    rows, cost = rows_of(planted, replace(planted.truth, offset=offset), loss="squared")
+    rows, cost = rows_of(planted, changed(planted.truth, offset=offset), loss="squared")
 
-    below = planted.links.plane[planted.observations.camera] == 1
+    below = planted.truth.views.interface[planted.observations.view] == 1
     assert (rows[..., below] == 0.0).all()
     assert float(cost) == pytest.approx(0.5 * IMPOSSIBLE_PX**2 * int(below.sum()))
 
 
-def test_parts_of_a_lens_that_all_images_share_need_no_copies(plant, disturb, rows_of):
-    planted = plant(lenses=3)
-    lens, state = planted.truth.lens, disturb(planted.truth)
-    shared = replace(lens, distortion=lens.distortion[1], principal_point=lens.principal_point[1])
-    copied = replace(
-        shared, distortion=shared.distortion.expand(3, 5), principal_point=shared.principal_point.expand(3, 2)
-    )
+def test_parts_that_all_cameras_share_need_no_copies(plant, disturb, rows_of):
+    planted = plant(cameras=3)
+    cameras, state = planted.truth.cameras, disturb(planted.truth)
+    shared = {
+        "distortion": cameras.distortion[1].expand(3, 5),
+        "principal_point": cameras.principal_point[1].expand(3, 2),
+    }
+    copied = {name: value.clone() for name, value in shared.items()}
 
-    one, two = (rows_of(planted, replace(state, lens=kind), ("focal", "distortion"))[0] for kind in (shared, copied))
+    one, two = (rows_of(planted, changed(state, **kind), ("focal", "distortion"))[0] for kind in (shared, copied))
 
     assert torch.equal(one, two)
 
 
 def test_more_observations_than_fit_a_block_are_worked_through_block_by_block(plant, disturb, rows_of, monkeypatch):
-    planted = plant(noise=0.5, lenses=2, planes=2)
+    planted = plant(noise=0.5, cameras=2, interfaces=2)
     state = disturb(planted.truth)
     whole, cost = rows_of(planted, state, ("focal", *ALL_WATER))
     monkeypatch.setattr("torchrefrac.bundle.rows.BLOCK", 7)
@@ -127,7 +136,7 @@ def test_more_observations_than_fit_a_block_are_worked_through_block_by_block(pl
 @pytest.mark.skipif(shutil.which("c++") is None, reason="torch.compile needs a C++ compiler")
 @pytest.mark.filterwarnings("ignore")
 def test_compiled_rows_are_those_of_the_interpreter(plant, disturb, rows_of):
-    planted = plant(noise=0.5, lenses=2, planes=2)
+    planted = plant(noise=0.5, cameras=2, interfaces=2)
     state, refine = disturb(planted.truth), ("focal", "radial", *ALL_WATER)
 
     rows, cost = rows_of(planted, state, refine, compiled=True)
@@ -144,6 +153,6 @@ def _assert_rows_of_autograd(planted, state, rows_of, refine):
     rows, _ = rows_of(planted, state, refine, loss="squared")
 
     seen = planted.observations
-    expected = jacobian_of(lambda at: errors_of(at, planted.links, seen).flatten(), layout, state)
+    expected = jacobian_of(lambda at: errors_of(at, seen).flatten(), layout, state)
     size = expected.abs().amax(dim=0).clamp(min=1.0)
     assert_matches(dense_jacobian(layout, seen, rows) / size, expected / size, slack=100.0)

@@ -1,18 +1,17 @@
 """Measurements besides the pixels: residuals by their definition, derivatives by autograd."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 
 from tests.bundle.bundle_oracles import jacobian_of, moved, num_unknowns
+from tests.bundle.changes import changed
 from tests.tolerances import assert_matches
 from torchrefrac.bundle import CenterPrior, Expectations, GravityPrior, HeightPrior, KnownPoints, ScaleBars, Waterline
 from torchrefrac.bundle.layout import WATER_WIDTH
-from torchrefrac.bundle.rows import LENS
+from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.bundle.terms import GlobalPrior, concerned_points
 
-LENS_NAMES = ("focal", "principal_point", "distortion")
+INTRINSICS_NAMES = ("focal", "principal_point", "distortion")
 WATER = tuple(WATER_WIDTH)
 TWO = torch.tensor((2, 0))
 SIGMA = torch.tensor((0.5, 2.0), dtype=torch.float64)
@@ -36,22 +35,22 @@ def measure(draw):
         )
         one = torch.tensor((4, 9)), torch.tensor((9, 1))
         world_down = torch.tensor((0.0, 0.0, -1.0), dtype=torch.float64)
-        on = planted.links.plane[TWO]
+        on = planted.truth.views.interface[TWO]
 
         def above(state, places, plane):
-            return (places * state.planes[0][plane]).sum(dim=1) - state.planes[1][plane]
+            return (places * state.interfaces.normal[plane]).sum(dim=1) - state.interfaces.offset[plane]
 
         return (
             {
-                "gravity": (GravityPrior(down, 0.02), lambda s: (s.rotation @ world_down - down) / 0.02),
+                "gravity": (GravityPrior(down, 0.02), lambda s: (s.views.rotation @ world_down - down) / 0.02),
                 "gravity of some": (
                     GravityPrior(some, SIGMA, TWO),
-                    lambda s: (s.rotation[TWO] @ world_down - some) / SIGMA[:, None],
+                    lambda s: (s.views.rotation[TWO] @ world_down - some) / SIGMA[:, None],
                 ),
-                "centre": (CenterPrior(TWO, position, information), lambda s: s.center[TWO] - position),
+                "centre": (CenterPrior(TWO, position, information), lambda s: s.views.center[TWO] - position),
                 "height": (
                     HeightPrior(TWO, 30.0 + error, SIGMA),
-                    lambda s: (above(s, s.center[TWO], on) - 30.0 - error) / SIGMA,
+                    lambda s: (above(s, s.views.center[TWO], on) - 30.0 - error) / SIGMA,
                 ),
                 "known points": (KnownPoints(TWO, position, information), lambda s: s.points[TWO] - position),
                 "scale bars": (
@@ -69,7 +68,7 @@ def measure(draw):
 
 @every_measurement
 def test_the_residuals_are_those_of_the_definition_in_standard_deviations(plant, disturb, measure, name):
-    planted = plant(lenses=2, planes=2)
+    planted = plant(cameras=2, interfaces=2)
     (term, definition), information, _ = measure(name, planted)
     layout, state = planted.layout(WATER, terms=[term]), disturb(planted.truth)
 
@@ -86,26 +85,26 @@ def test_the_residuals_are_those_of_the_definition_in_standard_deviations(plant,
 @every_measurement
 @pytest.mark.parametrize("water", [WATER, ("plane_height",), ()], ids=["free water", "free level", "fixed water"])
 def test_the_derivatives_are_those_of_autograd_through_the_retraction(plant, disturb, measure, name, water):
-    planted = plant(lenses=2, planes=2)
+    planted = plant(cameras=2, interfaces=2)
     (term, _), *_ = measure(name, planted)
 
-    _assert_jacobian_of_autograd(planted, term, disturb(planted.truth), (*LENS_NAMES, *water))
+    _assert_jacobian_of_autograd(planted, term, disturb(planted.truth), (*INTRINSICS_NAMES, *water))
 
 
 @every_measurement
-def test_what_is_held_has_no_derivative(plant, measure, name):
-    planted = plant(planes=2)
+def test_what_is_fixed_has_no_derivative(plant, measure, name):
+    planted = plant(interfaces=2)
     (term, _), *_ = measure(name, planted)
-    held = torch.zeros(4, 6, dtype=torch.bool)
-    held[0], held[2, 1], held[2, 5] = True, True, True
+    fixed = torch.zeros(4, 6, dtype=torch.bool)
+    fixed[0], fixed[2, 1], fixed[2, 5] = True, True, True
 
-    _assert_jacobian_of_autograd(planted, term, planted.truth, WATER, held)
+    _assert_jacobian_of_autograd(planted, term, planted.truth, WATER, fixed)
 
 
-@pytest.mark.parametrize("name", [*LENS, *WATER])
-@pytest.mark.parametrize(("lenses", "planes"), [(1, 1), (2, 2)], ids=["one lens", "two lenses and waters"])
-def test_the_derivatives_of_what_is_expected_are_those_of_autograd(plant, draw, name, lenses, planes):
-    planted = plant(lenses=lenses, planes=planes)
+@pytest.mark.parametrize("name", [*INTRINSICS, *WATER])
+@pytest.mark.parametrize(("cameras", "interfaces"), [(1, 1), (2, 2)], ids=["one camera", "two cameras and waters"])
+def test_the_derivatives_of_what_is_expected_are_those_of_autograd(plant, draw, name, cameras, interfaces):
+    planted = plant(cameras=cameras, interfaces=interfaces)
     refine = ("radial" if name == "radial" else "distortion", "focal", "principal_point", *WATER)
     layout = planted.layout(refine)
     state = moved(layout, planted.truth, 0.05 * draw.normal(num_unknowns(layout)))
@@ -127,15 +126,15 @@ def test_the_derivatives_of_what_is_expected_are_those_of_autograd(plant, draw, 
 )
 def test_what_is_expected_counts_how_many_standard_deviations_the_start_is_away(plant, name, expected):
     """Each changed by `expected`, which is also its standard deviation: relative, in pixels, radians or centimetres."""
-    planted = plant(lenses=2, planes=2)
+    planted = plant(cameras=2, interfaces=2)
     truth, layout = (
         planted.truth,
         planted.layout(("radial" if name == "radial" else "distortion", "focal", "principal_point", *WATER)),
     )
     step = torch.zeros(num_unknowns(layout), dtype=torch.float64)
     both = torch.arange(2)
-    if name in LENS:
-        columns = layout.lens_columns(name, both)
+    if name in INTRINSICS:
+        columns = layout.intrinsics_columns(name, both)
     elif name == "index_ratio":
         columns = torch.tensor([layout.index_column()])
     else:
@@ -152,7 +151,7 @@ def test_what_is_expected_counts_how_many_standard_deviations_the_start_is_away(
 def test_the_standard_deviation_of_each_kind_of_unknown_is_that_of_its_field():
     expected = Expectations(0.1, 2.0, 0.03, 0.004, 3.0, 0.6)
 
-    sigmas = {name: expected.sigma_of(name) for name in (*LENS, *WATER)}
+    sigmas = {name: expected.sigma_of(name) for name in (*INTRINSICS, *WATER)}
 
     tilt = sigmas.pop("plane_tilt")
     assert sigmas == {
@@ -166,12 +165,12 @@ def test_the_standard_deviation_of_each_kind_of_unknown_is_that_of_its_field():
     assert tilt == pytest.approx(3.0 * torch.pi / 180.0)
 
 
-@pytest.mark.parametrize("name", [*LENS, *WATER])
+@pytest.mark.parametrize("name", [*INTRINSICS, *WATER])
 def test_nothing_is_expected_of_what_is_not_named(name):
     assert Expectations().sigma_of(name) is None
 
 
-def test_points_that_measurements_concern_are_those_of_marks_bars_and_waterlines(plant):
+def test_points_that_measurements_concern_are_those_of_control_points_bars_and_waterlines(plant):
     planted = plant(points=9)
     one = torch.ones(1, dtype=torch.float64)
     index = {k: torch.tensor([k]) for k in (1, 4, 5, 8)}
@@ -183,10 +182,10 @@ def test_points_that_measurements_concern_are_those_of_marks_bars_and_waterlines
         Waterline(index[8], torch.zeros(1, dtype=torch.long), one),
     ]
 
-    mask = concerned_points(terms, 9, planted.truth.points)
+    mask = concerned_points(terms, planted.truth.points)
 
     assert mask.nonzero()[:, 0].tolist() == [4, 5, 8]
-    assert concerned_points(terms[:2], 9, planted.truth.points) is None
+    assert concerned_points(terms[:2], planted.truth.points) is None
 
 
 def test_a_bar_of_no_length_is_finite(plant):
@@ -196,21 +195,21 @@ def test_a_bar_of_no_length_is_finite(plant):
     points = planted.truth.points.clone()
     points[3] = points[4]
 
-    residuals = term.residuals(replace(planted.truth, points=points), planted.layout(terms=[term]))
+    residuals = term.residuals(changed(planted.truth, points=points), planted.layout(terms=[term]))
 
     assert residuals.value.tolist() == [[-1.0]]
     assert residuals.jacobian.isfinite().all()
 
 
-def _assert_jacobian_of_autograd(planted, term, state, refine, held=None):
-    layout = planted.layout(refine, terms=[term], held=held)
+def _assert_jacobian_of_autograd(planted, term, state, refine, fixed=None):
+    layout = planted.layout(refine, terms=[term], fixed=fixed)
 
     value, jacobian, columns = term.residuals(state, layout)
 
     width = num_unknowns(layout)
     across = torch.zeros(len(value), value.shape[1], max(layout.size, width) + 1, dtype=torch.float64)
     across.scatter_add_(2, columns[:, None].expand_as(jacobian), jacobian)
-    across[..., layout.size] = 0.0  # what is held, whose column is the first point's
+    across[..., layout.size] = 0.0  # what is fixed, whose column is the first point's
     expected = jacobian_of(lambda at: term.residuals(at, layout).value.flatten(), layout, state)
     size = expected.abs().amax().clamp(min=1.0)
     assert_matches(across.flatten(0, 1)[:, :width] / size, expected / size, slack=100.0)

@@ -36,20 +36,20 @@ class Looks(TorchDispatchMode):
 @pytest.mark.parametrize("constrained", [False, True], ids=["images alone", "constrained"])
 def test_an_iteration_waits_for_nothing_but_the_three_numbers_that_judge_it(plant, disturb, index_ratio, constrained):
     planted = plant(noise=0.3, index_ratio=index_ratio)
-    terms, held = [], None
+    terms, fixed = [], None
     if constrained:
         one = torch.ones(1, dtype=torch.float64)
         bar = ScaleBars(torch.tensor([0]), torch.tensor([1]), one, one)
         terms = [GravityPrior(planted.down_in_cam, 0.01), bar]
-        held = torch.zeros(len(planted.truth.center), 6, dtype=torch.bool)
-        held[0] = True
+        fixed = torch.zeros(len(planted.truth.views.center), 6, dtype=torch.bool)
+        fixed[0] = True
     options = BundleOptions(
         refine=("focal", "index_ratio", "plane_tilt") if constrained else (),
         expected=Expectations(focal=0.1, index_ratio=0.1, plane_tilt_deg=1.0),
         solver=LevenbergMarquardtOptions(max_iterations=1),
     )
     start = disturb(planted.truth, 0.1)
-    problem = adjust(start, planted.observations, options, terms=terms, held=held).problem
+    problem = adjust(start, options, terms=terms, fixed=fixed).problem
     minimize(problem, start, replace(options.solver, max_iterations=3, function_tolerance=0.0))  # tables are made once
 
     looks = []
