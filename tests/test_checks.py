@@ -87,7 +87,7 @@ def test_compiled_code_is_not_checked():
 def test_tensors_of_whole_numbers_are_refused_where_floating_point_is_wanted():
     for good in (1, 1.0, torch.ones(2), torch.ones(2, dtype=torch.float16)):
         require_floating(good, "value")
-    with pytest.raises(ValueError, match="^value is True, but must be a number$"):
+    with pytest.raises(ValueError, match=r"^value is True, but must be a number$"):
         require_floating(True, "value")
     for bad in (torch.ones(2, dtype=torch.int32), torch.ones(2, dtype=torch.bool)):
         with pytest.raises(ValueError, match=rf"^value has dtype {bad.dtype}, but must be a floating-point tensor$"):
@@ -124,7 +124,7 @@ def test_a_matrix_that_is_no_rotation_is_refused(draw, name):
 
 
 def test_a_matrix_that_is_not_finite_is_no_rotation():
-    with pytest.raises(ValueError, match="^pose is nan somewhere"):
+    with pytest.raises(ValueError, match=r"^pose is nan somewhere"):
         require_rotation(torch.full((3, 3), math.nan), "pose")
 
 

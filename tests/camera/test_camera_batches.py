@@ -205,7 +205,7 @@ def test_a_rotation_that_is_none_is_refused(lens, wrong):
     center = torch.tensor([0.0, 0.0, 1.0])
     poses = torch.stack((torch.eye(3), wrong))
 
-    with pytest.raises(ValueError, match="^cam_from_world_rotation must be a rotation"):
+    with pytest.raises(ValueError, match=r"^cam_from_world_rotation must be a rotation"):
         RefractiveCamera(lens, poses, center, FlatInterface())
     assert RefractiveCamera(lens, poses, center, FlatInterface(), check=False).shape == (2,)
 
