@@ -5,6 +5,7 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from torchrefrac.checks import require
+from torchrefrac.minimal.rays import require_matches
 
 
 def level_rays(
@@ -15,11 +16,8 @@ def level_rays(
 
 
 def require_data(plane: Float[Tensor, "n 2"], **others: Shaped[Tensor, "n columns"]) -> None:
-    """Refuse image coordinates that are not (N, 2), what does not belong to as many matches, and NaN."""
-    if plane.dim() != 2 or plane.shape[-1] != 2:
-        raise ValueError(f"image coordinates have shape {tuple(plane.shape)}, but must be (N, 2)")
+    """Refuse what `require_matches` does, and what is not finite."""
+    require_matches(plane, **others)
     require(plane, "image coordinates")
     for name, value in others.items():
-        if len(value) != len(plane):
-            raise ValueError(f"{name} has {len(value)} rows, but there are {len(plane)} image coordinates")
         require(value, name)
