@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from torchrefrac.checks import require, require_floating
@@ -77,6 +77,15 @@ def require_pairs(rays1: Rays, rays2: Rays, solver: str, count: int, *, or_more:
 def require_sights(rays: Rays, points: Rays, solver: str, count: int, *, or_more: bool = False) -> None:
     """Refuse anything but batches (*B, count, 3) of finite rays and points, or of more of them."""
     _require(solver, count, or_more, rays=rays, points=points)
+
+
+def require_matches(plane: Float[Tensor, "n 2"], **others: Shaped[Tensor, "n columns"]) -> None:
+    """Refuse image coordinates that are not pairs, and what does not belong to as many matches."""
+    if plane.dim() != 2 or plane.shape[-1] != 2:
+        raise ValueError(f"image coordinates have shape {tuple(plane.shape)}, but must be (N, 2)")
+    for name, value in others.items():
+        if len(value) != len(plane):
+            raise ValueError(f"{name} has {len(value)} rows, but there are {len(plane)} image coordinates")
 
 
 def require_index(index_ratio: Float[Tensor, "*batch"] | float) -> None:

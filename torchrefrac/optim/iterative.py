@@ -88,7 +88,7 @@ def _preconditioner(
         coarse = lift.new_zeros(plan.size, 0)
     shared = torch.zeros(plan.size, plan.size - first, dtype=lift.dtype, device=lift.device)
     shared[first:] = torch.eye(plan.size - first, dtype=lift.dtype, device=lift.device)
-    basis = torch.cat((coarse, shared), dim=1)
+    basis, small = torch.cat((coarse, shared), dim=1), lift.new_zeros(0, 0)
     if basis.shape[1]:
         root = (system.diagonal + lift).sqrt()[:, None]  # in units in which B has a unit diagonal
         basis = torch.linalg.qr(basis * root).Q / root

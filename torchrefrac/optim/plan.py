@@ -28,7 +28,7 @@ class Family(NamedTuple):
 
     size: int
     member: Int[Tensor, " blocks"]
-    count: int = 1
+    count: int = 1  # pyright: ignore[reportIncompatibleMethodOverride]
 
 
 class RowLayout(NamedTuple):

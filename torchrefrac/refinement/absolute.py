@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchrefrac.geometry import triples
 from torchrefrac.geometry.triples import Part, Triple
+from torchrefrac.minimal.rays import require_matches
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
 from torchrefrac.refinement.priors import prior_costs, with_priors
 from torchrefrac.refinement.tilt import tilted_rotation, turn_by_tilt
@@ -42,6 +43,9 @@ class OneView:
     gravity_sigma: float = 0.0
     pixel_sigma: float = 0.5
     known_heading: float | None = None
+
+    def __post_init__(self) -> None:
+        require_matches(self.plane, points=self.points)
 
     def __len__(self) -> int:
         return len(self.plane)

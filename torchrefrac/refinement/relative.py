@@ -20,6 +20,7 @@ from torch import Tensor
 from torchrefrac.checks import is_wrapped
 from torchrefrac.geometry import triples
 from torchrefrac.minimal import triangulate
+from torchrefrac.minimal.rays import require_matches
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
 from torchrefrac.refinement.epipolar import EpipolarError, Pair, Views, epipolar_error, epipolar_jacobian, rays_in_water
 from torchrefrac.refinement.priors import prior_costs, with_priors
@@ -48,6 +49,9 @@ class TwoViews:
     gravity_sigma: float = 0.0
     pixel_sigma: float = 0.5
     known_heading: float | None = None
+
+    def __post_init__(self) -> None:
+        require_matches(self.plane1, plane2=self.plane2)
 
     def __len__(self) -> int:
         return len(self.plane1)
