@@ -45,7 +45,7 @@ class Rendered:
             return detect_interest_points(self.images[image].float(), per_cell=1)
 
         ids, tile, none = torch.arange(count), (0, 0, width, height), torch.zeros(0, 3, dtype=torch.float64)
-        return Scope(ids, self.cameras, atlas, allowed, near, far, tile, interest_points, none, none[:, :2])
+        return Scope(ids, self.cameras, near, far, none, none[:, :2], atlas, allowed, tile, interest_points)
 
     def at(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
         """Points and unit normals (k, 3) that the reference shows at pixels (k, 2), which are middles of pixels."""

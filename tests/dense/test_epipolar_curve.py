@@ -7,7 +7,7 @@ from torch import Tensor
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.dense.matching.epipolar_curve import Candidates, find_candidates
 from torchrefrac.dense.matching.interest_points import InterestPoints
-from torchrefrac.dense.matching.ray_curve import project_curve
+from torchrefrac.dense.matching.ray_curve import evenly, sample
 from torchrefrac.dense.rays import PixelRays
 
 
@@ -15,7 +15,7 @@ def test_a_curve_is_the_image_of_evenly_spaced_points_of_the_ray(make_basin):
     _, other, rays, distance, _ = _planted(make_basin(points=5))
     near, far = distance - 60.0, distance + 20.0
 
-    pixels, at, valid = project_curve(rays, other, near, far, 9)
+    pixels, at, valid = sample(rays, other, evenly(near, far, 9))
 
     assert pixels.shape == (5, 9, 2)
     torch.testing.assert_close(at, near[:, None] + 10.0 * torch.arange(9), rtol=0.0, atol=1e-12)
@@ -62,7 +62,7 @@ def test_without_refraction_the_curve_is_the_epipolar_line(make_basin):
     beside = (line @ torch.cat((pixels, torch.ones(80, 1, dtype=torch.float64)), dim=1).T).abs()
 
     found = find_candidates(rays, kind, other, InterestPoints(pixels, kind), distance - 30.0, distance + 30.0, band=3.0)
-    drawn, _, _ = project_curve(rays, other, distance - 30.0, distance + 30.0, 7)
+    drawn = sample(rays, other, evenly(distance - 30.0, distance + 30.0, 7)).pixels
 
     away = (drawn * line[:, None, :2]).sum(dim=-1) + line[:, 2:]
     assert float(away.abs().max()) < 1e-8
@@ -177,10 +177,8 @@ def test_misuse_is_named(make_basin):
         find_candidates(rays, kind, other, others, distance, distance, band=0.0)
     with pytest.raises(ValueError, match="spacing is -1, but must be finite and above 0"):
         find_candidates(rays, kind, other, others, distance, distance, spacing=-1.0)
-    with pytest.raises(ValueError, match="samples is 1, but must be finite and at least 2"):
-        project_curve(rays, other, distance, distance, 1)
     with pytest.raises(ValueError, match=r"shapes do not broadcast: rays \(4,\), near \(3,\), far \(4,\)"):
-        project_curve(rays, other, distance[:3], distance, 5)
+        find_candidates(rays, kind, other, others, distance[:3], distance)
 
 
 def _planted(basin) -> tuple[RefractiveCamera, RefractiveCamera, PixelRays, Tensor, Tensor]:

@@ -38,9 +38,16 @@ def grid(scope):
     return Cells(replace(scope, tile=(30, 21, 57, 42)), 3)
 
 
-def _planes(score):
-    """Points and normals (k, 3) by which one can tell which score (k) they came with."""
-    return score[:, None].expand(-1, 3), -score[:, None].expand(-1, 3)
+def _patches(points, normals, score):
+    """Of which nothing else is known."""
+    none = torch.zeros_like(score)
+    no_view, table = none.long(), none.long()[:, None]
+    return Patches(no_view, points[:, :2], points, normals, none, none, score, table, table > 0)
+
+
+def _labelled(score):
+    """Patches by whose points and normals one can tell which score (k) they came with."""
+    return _patches(score[:, None].expand(-1, 3), -score[:, None].expand(-1, 3), score)
 
 
 def test_cells_lie_where_their_centres_are(grid):
@@ -68,21 +75,21 @@ def test_of_several_planes_for_one_cell_the_best_stays(grid, draw, generator, co
         cells, score = torch.randint(63, (count,), generator=generator), draw.uniform(0.0, 1.0, count)
         np.maximum.at(best, cells.numpy(), score.numpy())
 
-        grid.fill(cells, *_planes(score), score)
+        grid.fill(cells, _labelled(score))
 
         held = torch.from_numpy(best)
         assert torch.equal(grid.score, held)
         assert torch.equal(grid.filled, held >= 0.0)
-        assert torch.equal(grid.points[grid.filled], _planes(held)[0][grid.filled])
-        assert torch.equal(grid.normals[grid.filled], _planes(held)[1][grid.filled])
+        assert torch.equal(grid.points[grid.filled], _labelled(held).points[grid.filled])
+        assert torch.equal(grid.normals[grid.filled], _labelled(held).normals[grid.filled])
 
 
 def test_a_filled_cell_is_counted_once(grid):
     score = torch.tensor([0.5, 0.6, 0.7], dtype=torch.float64)
 
-    grid.fill(torch.tensor([4, 4, 9]), *_planes(score), score)
+    grid.fill(torch.tensor([4, 4, 9]), _labelled(score))
     first, again = grid.filled_since(), grid.filled_since()
-    grid.fill(torch.tensor([4, 5, 9]), *_planes(score + 0.1), score + 0.1)
+    grid.fill(torch.tensor([4, 5, 9]), _labelled(score + 0.1))
 
     assert (first, again, grid.filled_since()) == (2, 0, 1)
 
@@ -91,7 +98,7 @@ def test_a_filled_cell_is_counted_once(grid):
 def test_every_empty_cell_near_filled_ones_gets_the_best_of_the_nearest_ring(grid, draw, share):
     score = draw.uniform(0.1, 1.0, 63)
     filled = (draw.uniform(0.0, 1.0, 63) < share).nonzero()[:, 0]
-    grid.fill(filled, *_planes(score[filled]), score[filled])
+    grid.fill(filled, _labelled(score[filled]))
 
     cells, source = grid.frontier()
 
@@ -112,7 +119,7 @@ def test_a_place_is_tried_again_for_a_better_plane_only_and_not_more_than_a_few_
         (30, 31, 32, 39, 41, 48, 49, 50), (0.4, 0.3, 0.5, 0.2, 0.6, 0.5, 0.7, 0.8), strict=True
     ):
         value = torch.tensor([score], dtype=torch.float64)
-        grid.fill(torch.tensor([neighbour]), *_planes(value), value)
+        grid.fill(torch.tensor([neighbour]), _labelled(value))
 
         cells, source = grid.frontier()
 
@@ -126,10 +133,10 @@ def test_a_place_is_tried_again_for_a_better_plane_only_and_not_more_than_a_few_
 
 def test_a_place_that_failed_from_afar_is_tried_again_from_beside_it(grid):
     first, worse = torch.tensor([0.9], dtype=torch.float64), torch.tensor([0.8], dtype=torch.float64)
-    grid.fill(torch.tensor([31]), *_planes(first), first)
+    grid.fill(torch.tensor([31]), _labelled(first))
     grid.frontier()
 
-    grid.fill(torch.tensor([32]), *_planes(worse), worse)
+    grid.fill(torch.tensor([32]), _labelled(worse))
     cells, source = grid.frontier()
 
     again = dict(zip(cells.tolist(), source.tolist(), strict=True))
@@ -139,7 +146,7 @@ def test_a_place_that_failed_from_afar_is_tried_again_from_beside_it(grid):
 
 def test_what_fails_everywhere_is_given_up(grid):
     score = torch.tensor([0.9], dtype=torch.float64)
-    grid.fill(torch.tensor([31]), *_planes(score), score)
+    grid.fill(torch.tensor([31]), _labelled(score))
 
     waves = [len(grid.frontier()[0]) for _ in range(3)]
 
@@ -151,7 +158,9 @@ def test_from_one_seed_the_whole_textured_part_is_covered_and_nothing_else(half_
     shown, _ = half_painted.at(cells.pixels)
     seed = (shown - shown.new_tensor((-8.0, 0.0, BOTTOM))).norm(dim=-1).argmin()
     up = torch.tensor([[0.1, -0.1, 1.0]], dtype=torch.float64)
-    cells.fill(seed[None], shown[seed][None], torch.nn.functional.normalize(up, dim=-1), shown.new_tensor([0.8]))
+    cells.fill(
+        seed[None], _patches(shown[seed][None], torch.nn.functional.normalize(up, dim=-1), shown.new_tensor([0.8]))
+    )
 
     patches = Patches.together(list(grow(scope, cells, OPTIONS)))
 
@@ -176,7 +185,7 @@ def test_each_patch_fills_the_cell_that_it_is_centred_in(half_painted, scope):
     cells = Cells(scope, OPTIONS.cell)
     shown, normals = half_painted.at(cells.pixels)
     seed = (shown - shown.new_tensor((-8.0, 0.0, BOTTOM))).norm(dim=-1).argmin()[None]
-    cells.fill(seed, shown[seed], normals[seed], shown.new_tensor([0.8]))
+    cells.fill(seed, _patches(shown[seed], normals[seed], shown.new_tensor([0.8])))
 
     patches = Patches.together(list(grow(scope, cells, OPTIONS)))
 

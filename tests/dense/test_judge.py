@@ -12,7 +12,8 @@ from tests.dense.rendered_scenes import FOCAL, Board, cameras_around, marble, re
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.dense.judge import fewest_others, plane_through
 from torchrefrac.dense.options import DenseOptions
-from torchrefrac.dense.refine import Planes, refine
+from torchrefrac.dense.patches import Planes
+from torchrefrac.dense.refine import refine
 from torchrefrac.refraction import FlatInterface
 
 OPTIONS = DenseOptions()

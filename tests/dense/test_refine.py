@@ -12,7 +12,8 @@ from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.dense.atlas import Atlas
 from torchrefrac.dense.matching.interest_points import InterestPoints
 from torchrefrac.dense.options import DenseOptions
-from torchrefrac.dense.refine import Planes, choose_views, refine
+from torchrefrac.dense.patches import Planes
+from torchrefrac.dense.refine import choose_views, refine
 from torchrefrac.dense.scope import Scope
 from torchrefrac.refraction import FlatInterface
 
@@ -249,7 +250,7 @@ def _looking_at_the_origin(angles_deg):
     cameras = RefractiveCamera(Intrinsics.create(160, 120, 150.0), rotation, center, FlatInterface(1.33))
     atlas = Atlas.build([torch.zeros(120, 160)] * len(angle), 1)
     ids, tile, none = torch.arange(len(angle)), (0, 0, 160, 120), torch.zeros(0, 3, dtype=torch.float64)
-    return Scope(ids, cameras, atlas, None, -50.0, 50.0, tile, lambda _: NO_POINTS, none, none[:, :2])
+    return Scope(ids, cameras, -50.0, 50.0, none, none[:, :2], atlas, None, tile, lambda _: NO_POINTS)
 
 
 def test_images_at_the_best_angle_come_first_and_none_beyond_the_largest():

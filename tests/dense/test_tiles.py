@@ -11,7 +11,7 @@ from torchrefrac.dense import DenseOptions, densify
 from torchrefrac.dense.images import Images
 from torchrefrac.dense.neighbours import Neighbourhood
 from torchrefrac.dense.rays import PixelRays
-from torchrefrac.dense.tiles import scopes, tile_boxes
+from torchrefrac.dense.scope import scopes, tile_boxes
 
 OPTIONS = DenseOptions(method="patch")
 SMALL = replace(OPTIONS, max_tile=81)

@@ -26,10 +26,10 @@ from torchrefrac.dense.growth import Cells, grow
 from torchrefrac.dense.images import Images
 from torchrefrac.dense.neighbours import find_neighbours
 from torchrefrac.dense.options import DenseOptions
-from torchrefrac.dense.patches import Patches
-from torchrefrac.dense.refine import Planes, refine
+from torchrefrac.dense.patches import Patches, Planes
+from torchrefrac.dense.refine import refine
+from torchrefrac.dense.scope import scopes
 from torchrefrac.dense.seeds import sparse_seeds
-from torchrefrac.dense.tiles import scopes
 from torchrefrac.dense.window import Window
 from torchrefrac.files.library import embedded_scene
 

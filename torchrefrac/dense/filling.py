@@ -10,11 +10,10 @@ from torchrefrac.dense.images import Images
 from torchrefrac.dense.neighbours import Neighbourhood
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
-from torchrefrac.dense.scope import Scope
+from torchrefrac.dense.scope import Scope, scopes
 from torchrefrac.dense.seeds import begin, cover, cover_repeated, matched_seeds, sparse_seeds
 from torchrefrac.dense.store import Store
 from torchrefrac.dense.sweeping.sweep import sweep
-from torchrefrac.dense.tiles import scopes
 from torchrefrac.recorder import Recorder
 
 STEP = 1 << 14  # cells of a sweep that are refined before they are reported
@@ -26,22 +25,22 @@ def fill_views(
 ) -> Patches:
     """The patches of all views, in the order given: what the ones before have found need not be found again."""
     height, width = images.size
-    cells = (height // options.cell) * (width // options.cell)
+    total = (height // options.cell) * (width // options.cell)
     known: list[Patches] = [Patches.empty(options.views)]
     made, start = 0, time.perf_counter()
-    with recorder.meter(len(neighbourhoods) * cells, "densifying", "cell") as advance:
+    with recorder.meter(len(neighbourhoods) * total, "densifying", "cell") as advance:
         for step, (view, neighbourhood) in enumerate(neighbourhoods.items()):
             done = store.load(view)
             if done is not None:
                 known.append(done)
-                advance(cells, "")
+                advance(total, "")
                 continue
-            left, parts = cells, [Patches.empty(options.views)]
+            left, parts = total, [Patches.empty(options.views)]
             for scope in scopes(neighbourhood, images, options):
-                before = Patches.together([*known, *parts]).to(scope.device)
-                for patches, filled in METHODS[options.method](scope, before, options):
+                cells, before = Cells(scope, options.cell), Patches.together([*known, *parts]).to(scope.device)
+                for patches in METHODS[options.method](scope, cells, before, options):
                     parts.append(patches.padded(options.views).to(HOME))
-                    count = min(filled, left)  # tiles overlap
+                    count = min(cells.filled_since(), left)  # tiles overlap
                     made, left = made + len(patches), left - count
                     advance(count, f"{made / (time.perf_counter() - start):.0f} patches/s")
             advance(left, "")
@@ -53,36 +52,31 @@ def fill_views(
     return Patches.together(known)
 
 
-def grow_patches(scope: Scope, known: Patches, options: DenseOptions) -> Iterator[tuple[Patches, int]]:
+def grow_patches(scope: Scope, cells: Cells, known: Patches, options: DenseOptions) -> Iterator[Patches]:
     """From seeds outwards (PMVS): first from known patches and sparse points, then from interest points in what is
-    left. Cells that show a known patch get none. Yields patches as they come, and how many more cells are filled."""
-    cells = Cells(scope, options.cell)
+    left. Cells that show a known patch get none."""
     cover(scope, cells, known, options)
-    yield sparse_seeds(scope, cells, options), cells.filled_since()
-    for patches in grow(scope, cells, options):
-        yield patches, cells.filled_since()
-    yield matched_seeds(scope, cells, options), cells.filled_since()
-    for patches in grow(scope, cells, options):
-        yield patches, cells.filled_since()
+    yield sparse_seeds(scope, cells, options)
+    yield from grow(scope, cells, options)
+    yield matched_seeds(scope, cells, options)
+    yield from grow(scope, cells, options)
 
 
-def sweep_planes(scope: Scope, known: Patches, options: DenseOptions) -> Iterator[tuple[Patches, int]]:
+def sweep_planes(scope: Scope, cells: Cells, known: Patches, options: DenseOptions) -> Iterator[Patches]:
     """From a plane sweep over all distances, and outwards from what it finds. Cells that show what `maps` other views
-    have found already get no patch. Yields what `grow_patches` does."""
-    cells = Cells(scope, options.cell)
+    have found already get no patch."""
     cover_repeated(scope, cells, known, options.maps)
     pixels, planes, _ = sweep(scope, options)
     at, inside = cells.index(pixels)
     at, planes = at[inside], planes[inside]
     for first in range(0, len(at), STEP):
         rows = slice(first, first + STEP)
-        yield begin(scope, cells, at[rows], planes[rows], options), cells.filled_since()
-    for patches in grow(scope, cells, options):
-        yield patches, cells.filled_since()
+        yield begin(scope, cells, at[rows], planes[rows], options)
+    yield from grow(scope, cells, options)
 
 
-METHODS: dict[str, Callable[[Scope, Patches, DenseOptions], Iterator[tuple[Patches, int]]]] = {
+METHODS: dict[str, Callable[[Scope, Cells, Patches, DenseOptions], Iterator[Patches]]] = {
     "patch": grow_patches,
     "depthmap": sweep_planes,
 }
-"""How the cells of a tile are filled, beside what is known from other tiles and views."""
+"""How the cells of a tile are filled beside known patches; the new ones come as they are found."""

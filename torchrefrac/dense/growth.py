@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.dense.options import DenseOptions
-from torchrefrac.dense.patches import Patches
-from torchrefrac.dense.refine import Planes, refine
+from torchrefrac.dense.patches import Patches, Planes
+from torchrefrac.dense.refine import refine
 from torchrefrac.dense.scope import Scope
 
 TRIES = 3
@@ -44,22 +44,16 @@ class Cells:
         inside = (column >= 0) & (column < self.columns) & (row >= 0) & (row < self.rows)
         return torch.where(inside, row * self.columns + column, 0), inside
 
-    def fill(
-        self,
-        cells: Int[Tensor, " k"],
-        points: Float[Tensor, "k 3"],
-        normals: Float[Tensor, "k 3"],
-        score: Float[Tensor, " k"],
-    ) -> None:
-        """Where several planes come to one cell, the best stays."""
-        order = score.argsort(stable=True)
+    def fill(self, cells: Int[Tensor, " k"], patches: Patches) -> None:
+        """With the planes of patches (k); where several come to one cell, the best stays."""
+        score, order = patches.score, patches.score.argsort(stable=True)
         order = order[cells[order].argsort(stable=True)]
         best = torch.ones_like(order, dtype=torch.bool)
         best[:-1] = cells[order[1:]] != cells[order[:-1]]
         rows = order[best]
         rows = rows[score[rows] > self.score[cells[rows]]]
         at = cells[rows]
-        self.points[at], self.normals[at] = points[rows], normals[rows]
+        self.points[at], self.normals[at] = patches.points[rows], patches.normals[rows]
         self.score[at], self.filled[at] = score[rows], True
 
     def filled_since(self) -> int:
@@ -93,5 +87,5 @@ def grow(scope: Scope, cells: Cells, options: DenseOptions) -> Iterator[Patches]
             return
         planes = Planes(cells.points[source], cells.normals[source])
         patches, good = refine(scope, cells.pixels[target], planes, options)
-        cells.fill(target[good], patches.points, patches.normals, patches.score)
+        cells.fill(target[good], patches)
         yield patches

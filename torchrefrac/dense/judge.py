@@ -1,13 +1,14 @@
 """Whether to believe an adjusted patch, and how precise it is."""
 
 import math
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.dense.options import DenseOptions
-from torchrefrac.dense.patches import Patches
+from torchrefrac.dense.patches import Patches, Planes
 from torchrefrac.dense.photometric import Agreement, Comparison
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.scope import Scope
@@ -17,16 +18,26 @@ from torchrefrac.optim.batched import covariance_of
 SYSTEMATIC = 0.03  # pixels: what interpolation and poses leave however good the texture is
 
 
+class Subjects(NamedTuple):
+    """What is known of n patches before they are adjusted.
+
+    pixels in the reference; rays (n) through them; planes (n); reference: unit vectors of their windows; contrast of
+    these, in grey levels; image: local images to compare with, and which of them will do: present.
+    """
+
+    pixels: Float[Tensor, "n 2"]
+    rays: PixelRays
+    planes: Planes
+    reference: Float[Tensor, "n samples"]
+    contrast: Float[Tensor, " n"]
+    image: Int[Tensor, "n v"]
+    present: Bool[Tensor, "n v"]
+
+
 def judge(
-    scope: Scope,
-    comparison: Comparison,
-    states: Float[Tensor, "n 3"],
-    pixels: Float[Tensor, "n 2"],
-    rays: PixelRays,
-    contrast: Float[Tensor, " n"],
-    options: DenseOptions,
+    scope: Scope, subjects: Subjects, comparison: Comparison, states: Float[Tensor, "n 3"], options: DenseOptions
 ) -> tuple[Patches, Int[Tensor, " k"]]:
-    """Of n patches at `states`, centred at pixels on `rays` (n), those to be believed and their numbers.
+    """Of n patches at `states`, those to be believed and their numbers.
 
     Enough images must agree, the patch must face the camera, lie between near and far, and be determined: sigma times
     the motion in the other images stays below `max_sigma` pixels.
@@ -36,12 +47,14 @@ def judge(
     count = visible.sum(dim=1)
     score = (torch.where(visible, agreement.zncc, 0.0).sum(dim=1) / count.clamp(min=1)).to(states)
     motion = torch.where(visible, agreement.motion, 0.0).amax(dim=1)
-    photometric, determined = _sigma(agreement, visible, score, contrast.to(states), comparison.window, options)
+    photometric, determined = _sigma(
+        agreement, visible, score, subjects.contrast.to(states), comparison.window, options
+    )
     sigma = torch.hypot(photometric, SYSTEMATIC / motion.clamp(min=torch.finfo(motion.dtype).tiny))
     corners = comparison.corners(states)
     middle, normal = plane_through(corners)
-    distance = rays.meet(middle, normal)
-    sight = rays.direction_at(distance)
+    distance = subjects.rays.meet(middle, normal)
+    sight = subjects.rays.direction_at(distance)
     facing = -(normal * sight).sum(dim=-1)
     good = (
         determined
@@ -52,9 +65,9 @@ def judge(
         & (distance < scope.far)
     ).nonzero()[:, 0]
     patches = Patches(
-        reference=scope.ids[0].expand(len(pixels)),
-        pixels=pixels,
-        points=rays.at(distance),
+        reference=scope.ids[0].expand(len(states)),
+        pixels=subjects.pixels,
+        points=subjects.rays.at(distance),
         normals=normal * torch.sign(facing)[:, None],
         sigma=sigma,
         footprint=_footprint(corners, sight, comparison.window),

@@ -1,9 +1,9 @@
 """Which views to compare with which, and between which distances to look, as the sparse points say."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -16,7 +16,8 @@ MIN_POINTS = 5
 MIN_ANGLE = 1.0  # degrees; below, two images say nothing about distance
 
 
-class Neighbourhood(NamedTuple):
+@dataclass(frozen=True)
+class Neighbourhood:
     """A reference view, the views that it is compared with, and what is known of the surface that it shows.
 
     ids: which views of the scene these are, the reference first, then the others, best first; cameras (v): theirs;
@@ -46,7 +47,11 @@ def find_neighbours(scene: Scene, options: DenseOptions) -> dict[int, Neighbourh
             continue
         points = scene.points[mine.point]
         fits = fitness(angle_between(center[:, None], center[view], points), options)
-        others = _best(fits, shared[mine.point].T, scene.views.registered, view, options.neighbours)
+        fits = torch.where(shared[mine.point].T, fits, 0.0)
+        fits[view] = 0.0
+        worth = fits.sum(dim=1) * scene.views.registered
+        order = worth.argsort(descending=True, stable=True)[: options.neighbours]
+        others = order[worth[order] > 0.0]
         if len(others):
             ids = torch.cat((torch.tensor([view]), others))
             found[view] = Neighbourhood(ids, cameras[ids], *_range(cameras[view], points), points, mine.pixels)
@@ -66,17 +71,6 @@ def fitness(angle: Float[Tensor, "*batch"], options: DenseOptions) -> Float[Tens
     0 where nothing is to be learnt."""
     fits = torch.minimum(angle / options.angle_best, options.angle_best / angle.clamp(min=MIN_ANGLE))
     return torch.where((angle > MIN_ANGLE) & (angle < options.angle_max), fits, 0.0)
-
-
-def _best(
-    fits: Float[Tensor, "m k"], shared: Bool[Tensor, "m k"], registered: Bool[Tensor, " m"], view: int, count: int
-) -> Int[Tensor, " n"]:
-    """The views of most worth to `view`, whose k points they share or not."""
-    fits = torch.where(shared, fits, 0.0)
-    fits[view] = 0.0
-    worth = fits.sum(dim=1) * registered
-    order = worth.argsort(descending=True, stable=True)[:count]
-    return order[worth[order] > 0.0]
 
 
 def _range(camera: RefractiveCamera, points: Float[Tensor, "k 3"]) -> tuple[float, float]:

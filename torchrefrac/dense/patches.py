@@ -1,6 +1,7 @@
 """Patches: small oriented pieces of surface, each found in a pixel of its reference image."""
 
 from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
@@ -8,6 +9,17 @@ from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.scene import DenseCloud
+
+
+class Planes(NamedTuple):
+    """Guesses of patches, in the world frame; the normals of any length and either sign."""
+
+    points: Float[Tensor, "n 3"]
+    normals: Float[Tensor, "n 3"]
+
+    def __getitem__(self, rows: Any) -> "Planes":  # type: ignore[override]
+        """Some of them, as one indexes a tensor."""
+        return Planes(self.points[rows], self.normals[rows])
 
 
 @dataclass(frozen=True)

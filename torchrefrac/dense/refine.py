@@ -1,15 +1,13 @@
 """From a guess to a patch: which images to compare with, and the photometric adjustment."""
 
-from typing import Any, NamedTuple
-
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.dense.judge import fewest_others, judge
+from torchrefrac.dense.judge import Subjects, fewest_others, judge
 from torchrefrac.dense.neighbours import angle_between, fitness
 from torchrefrac.dense.options import DenseOptions
-from torchrefrac.dense.patches import Patches
+from torchrefrac.dense.patches import Patches, Planes
 from torchrefrac.dense.photometric import Comparison, unit_windows
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.scope import Scope
@@ -20,33 +18,6 @@ from torchrefrac.parallel import side_by_side
 TOLERANCE = 1e-3  # of the cost: an adjustment ends within a fifth of a standard deviation
 SIDE_BY_SIDE, FEWEST = 4, 1024  # batches, and patches in one of these
 MIN_SCALE = 0.4  # of an image against the reference: one that shows the surface smaller than this is not compared
-
-
-class Planes(NamedTuple):
-    """Guesses of patches, in the world frame; the normals of any length and either sign."""
-
-    points: Float[Tensor, "n 3"]
-    normals: Float[Tensor, "n 3"]
-
-    def __getitem__(self, rows: Any) -> "Planes":  # type: ignore[override]
-        """Some of them, as one indexes a tensor."""
-        return Planes(self.points[rows], self.normals[rows])
-
-
-class Subjects(NamedTuple):
-    """What is known of k patches before they are adjusted.
-
-    pixels in the reference; rays (k) through them; planes (k); reference: unit vectors of their windows; contrast of
-    these, in grey levels; image: local images to compare with, and which of them will do: present.
-    """
-
-    pixels: Float[Tensor, "k 2"]
-    rays: PixelRays
-    planes: Planes
-    reference: Float[Tensor, "k samples"]
-    contrast: Float[Tensor, " k"]
-    image: Int[Tensor, "k v"]
-    present: Bool[Tensor, "k v"]
 
 
 def refine(
@@ -60,7 +31,7 @@ def refine(
     def adjusted(rows: slice) -> tuple[Patches, Int[Tensor, " b"]]:
         subjects, chosen = _choose(scope, pixels[rows], planes[rows], options)
         comparison, states = _adjust(scope, subjects, options)
-        patches, good = judge(scope, comparison, states, subjects.pixels, subjects.rays, subjects.contrast, options)
+        patches, good = judge(scope, subjects, comparison, states, options)
         return patches, chosen[good] + rows.start
 
     results = side_by_side(adjusted, _batches(len(pixels), options.batch), scope.device)

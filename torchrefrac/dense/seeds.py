@@ -10,9 +10,9 @@ from torchrefrac.dense.growth import Cells
 from torchrefrac.dense.matching.epipolar_curve import find_candidates
 from torchrefrac.dense.matching.interest_points import InterestPoints
 from torchrefrac.dense.options import DenseOptions
-from torchrefrac.dense.patches import Patches
+from torchrefrac.dense.patches import Patches, Planes
 from torchrefrac.dense.rays import PixelRays
-from torchrefrac.dense.refine import Planes, refine
+from torchrefrac.dense.refine import refine
 from torchrefrac.dense.scope import Scope
 
 MATCHED_IMAGES = 3  # in which candidates are looked for
@@ -25,13 +25,13 @@ def cover(scope: Scope, cells: Cells, known: Patches, options: DenseOptions) -> 
     reference agrees with another image about it as it is. New patches grow from them, too."""
     at, facing, shown = _seen(scope, cells, known)
     rows = (facing & shown).nonzero()[:, 0]
-    cells.fill(at[rows], known.points[rows], known.normals[rows], known.score[rows])
+    cells.fill(at[rows], known[rows])
     rows = first_of_each(at, facing & ~shown & ~cells.filled[at])
     pixels, _ = scope.cameras[0].project(known.points[rows])
     as_it_is = replace(options, iterations=0, views=1, min_views=2)
     seen, good = refine(scope, pixels, Planes(known.points[rows], known.normals[rows]), as_it_is)
     rows = rows[good]
-    cells.fill(at[rows], known.points[rows], known.normals[rows], seen.score)
+    cells.fill(at[rows], replace(known[rows], score=seen.score))
 
 
 def cover_repeated(scope: Scope, cells: Cells, known: Patches, maps: int) -> None:
@@ -42,7 +42,7 @@ def cover_repeated(scope: Scope, cells: Cells, known: Patches, maps: int) -> Non
     pairs = torch.stack((at[rows], known.reference[rows]), dim=-1)[~mine].unique(dim=0)
     times = torch.bincount(pairs[:, 0], minlength=len(cells.filled))
     rows = rows[mine | (times[at[rows]] >= maps)]
-    cells.fill(at[rows], known.points[rows], known.normals[rows], known.score[rows])
+    cells.fill(at[rows], known[rows])
 
 
 def _seen(
@@ -93,7 +93,7 @@ def begin(scope: Scope, cells: Cells, at: Int[Tensor, " k"], planes: Planes, opt
     """Refine one patch in each empty cell of `at`, from its first plane, and fill the cells."""
     rows = first_of_each(at, ~cells.filled[at])
     patches, good = refine(scope, cells.pixels[at[rows]], planes[rows], options)
-    cells.fill(at[rows[good]], patches.points, patches.normals, patches.score)
+    cells.fill(at[rows[good]], patches)
     return patches
 
 

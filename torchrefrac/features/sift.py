@@ -50,10 +50,8 @@ def extract_sift(path: Path, options: SiftOptions) -> Features:
     )
     keypoints, descriptors = sift.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), None)  # type: ignore[call-overload]
     if not keypoints:
-        return Features(
-            torch.zeros(0, 2, dtype=torch.float64), torch.zeros(0, 128), torch.zeros(0, 3, dtype=torch.uint8)
-        )
-    position = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64)
+        descriptors = np.zeros((0, 128), dtype=np.float32)
+    position = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64).reshape(-1, 2)
     column, row = np.rint(position).astype(int).T
     height, width = image.shape[:2]
     colors = image[row.clip(0, height - 1), column.clip(0, width - 1), ::-1]

@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
-from torchrefrac.checks import require
+from torchrefrac.checks import require, require_broadcasting
 from torchrefrac.dense.matching.interest_points import InterestPoints, strongest
-from torchrefrac.dense.matching.ray_curve import MIN_CHORD, Curve, checked_range, follow, frame_of, within
+from torchrefrac.dense.matching.ray_curve import MIN_CHORD, Curve, follow, frame_of, within
 from torchrefrac.dense.rays import PixelRays, project_moving
 
 CURVES = 1024  # worked on at once
@@ -57,7 +57,11 @@ def find_candidates(
 
     Raises ValueError for a batch of cameras, a near that is above far, and a band or spacing that is not above 0.
     """
-    near, far = checked_range(rays, camera, near, far)
+    if camera.shape:
+        raise ValueError(f"camera has batch shape {tuple(camera.shape)}, but must be a single camera")
+    shape = require_broadcasting(rays=rays.origin.shape[:-1], near=near.shape, far=far.shape)
+    near, far = (value.to(rays.origin).expand(shape) for value in (near, far))
+    require(far - near, "far - near", at_least=0.0)
     require(band, "band", above=0.0)
     require(spacing, "spacing", above=0.0)
     parts = [Candidates(*(kind.new_zeros(0, dtype=torch.long),) * 2, *(near.new_zeros(0),) * 2)]

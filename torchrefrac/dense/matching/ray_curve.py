@@ -7,7 +7,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
-from torchrefrac.checks import require, require_broadcasting
 from torchrefrac.dense.rays import PixelRays
 
 COARSE = 33  # samples of a curve whose course is not known yet
@@ -24,22 +23,8 @@ class Curve(NamedTuple):
     valid: Bool[Tensor, "n s"]
 
 
-def project_curve(
-    rays: PixelRays, camera: RefractiveCamera, near: Float[Tensor, "..."], far: Float[Tensor, "..."], samples: int
-) -> Curve:
-    """The images of rays (n) in another camera, at `samples` evenly spaced distances from near to far, both included.
-
-    Not valid is what the camera cannot see; pixels may lie outside of its image.
-
-    Raises ValueError for a batch of cameras, fewer than 2 samples, and a near that is above far.
-    """
-    near, far = checked_range(rays, camera, near, far)
-    require(samples, "samples", at_least=2)
-    return sample(rays, camera, evenly(near, far, samples))
-
-
 def sample(rays: PixelRays, camera: RefractiveCamera, distance: Float[Tensor, "n s"]) -> Curve:
-    """The curve of each ray (n) at distances."""
+    """The images of rays (n) at distances; not valid is what the camera cannot see."""
     pixels, valid = camera.project(rays[:, None].at(distance))
     return Curve(pixels, distance, valid)
 
@@ -100,15 +85,3 @@ def frame_of(pixels: Float[Tensor, "m 2"], band: float) -> Float[Tensor, "2 2"]:
 def within(pixels: Float[Tensor, "*batch 2"], frame: Float[Tensor, "2 2"]) -> Float[Tensor, "*batch 2"]:
     """Pixels moved into the frame: of a chord, the part that lies there stays within the box around its moved ends."""
     return pixels.clamp(frame[0], frame[1])
-
-
-def checked_range(
-    rays: PixelRays, camera: RefractiveCamera, near: Float[Tensor, "..."], far: Float[Tensor, "..."]
-) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
-    """near and far of each ray, in the rays' dtype."""
-    if camera.shape:
-        raise ValueError(f"camera has batch shape {tuple(camera.shape)}, but must be a single camera")
-    shape = require_broadcasting(rays=rays.origin.shape[:-1], near=near.shape, far=far.shape)
-    near, far = (value.to(rays.origin).expand(shape) for value in (near, far))
-    require(far - near, "far - near", at_least=0.0)
-    return near, far

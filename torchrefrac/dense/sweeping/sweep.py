@@ -15,8 +15,8 @@ from torch import Tensor
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.dense.judge import fewest_others
 from torchrefrac.dense.options import DenseOptions
+from torchrefrac.dense.patches import Planes
 from torchrefrac.dense.rays import PixelRays
-from torchrefrac.dense.refine import Planes
 from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.sweeping.lattice import Copies, Lattice
 from torchrefrac.dense.sweeping.surface import LOWEST, Peaks, best_half, box, fit_planes
