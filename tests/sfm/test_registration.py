@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchrefrac.geometry import Rigid
-from torchrefrac.sfm import Pose, RefractiveInitializer, Registration, Rules, SfmOptions, register
+from torchrefrac.sfm import Pose, PoseInitializer, RefractiveInitializer, Registration, Rules, SfmOptions, register
 from torchrefrac.sfm.register import visible_points
 
 OPTIONS = SfmOptions(min_registration_inliers=20)
@@ -29,7 +29,7 @@ def rules(generator):
     return lambda poses: OPTIONS.rules(poses, seed=generator)
 
 
-class Answering:
+class Answering(PoseInitializer):
     """An initialiser that gives one answer and keeps what it was asked."""
 
     def __init__(self, inliers):
