@@ -6,7 +6,6 @@ from torchrefrac.bundle.inputs import UnadjustableError, check_inputs
 from torchrefrac.bundle.observability import Determination, determinations
 from torchrefrac.bundle.options import BundleOptions
 from torchrefrac.bundle.problem import BundleProblem
-from torchrefrac.bundle.state import BundleState, Links, Observations
 from torchrefrac.bundle.terms import (
     CenterPrior,
     Expectations,
@@ -23,15 +22,12 @@ __all__ = [
     "BundleOptions",
     "BundleProblem",
     "BundleReport",
-    "BundleState",
     "CenterPrior",
     "Determination",
     "Expectations",
     "GravityPrior",
     "HeightPrior",
     "KnownPoints",
-    "Links",
-    "Observations",
     "ScaleBars",
     "Term",
     "UnadjustableError",

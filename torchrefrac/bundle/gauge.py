@@ -1,63 +1,63 @@
-"""The directions in which cameras can move with the scene and the water without anything noticing."""
+"""The directions in which views can move with the points and the water without any residual changing."""
 
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.bundle.layout import Layout
-from torchrefrac.bundle.state import BundleState
 from torchrefrac.bundle.terms import Residuals
-from torchrefrac.geometry import Plane
+from torchrefrac.scene import Scene
 
 UNNOTICED = 1e-9
 ROUNDS = 3
 SCALE = 6
 
 
-def similarity_motions(state: BundleState, layout: Layout) -> tuple[Tensor, Tensor]:
-    """How the seven infinitesimal similarities move the reduced unknowns (size, 7), and what is held (k, 7).
+def similarity_motions(scene: Scene, layout: Layout) -> tuple[Float[Tensor, "size 7"], Float[Tensor, "fixed 7"]]:
+    """How the seven infinitesimal similarities move the reduced unknowns, and what is fixed.
 
     Shifts along x, y, z; turns about x, y, z through the origin; scale about it.
     """
-    rotation, center, (normal, offset) = state.rotation, state.center, state.planes
+    rotation, center, interfaces = scene.views.rotation, scene.views.center, scene.interfaces
+    normal, offset = interfaces.normal, interfaces.offset
     axes = torch.eye(3, dtype=center.dtype, device=center.device)
     m, e = len(center), len(normal)
     poses, planes = center.new_zeros(m, 6, 7), center.new_zeros(e, 3, 7)
-    kept = state.points[layout.kept_points]
-    points = center.new_zeros(len(kept), 3, 7)
-    first, second = Plane(normal, offset, check=False).tangents_like(center)
+    position = scene.points[layout.reduced_points]
+    points = center.new_zeros(len(position), 3, 7)
+    first, second = interfaces.planes.tangents_like(center)
     for k, axis in enumerate(axes):
         poses[:, 3:, k], points[..., k], planes[:, 2, k] = axis, axis, normal @ axis
         poses[:, :3, 3 + k] = -(rotation @ axis)
-        poses[:, 3:, 3 + k], points[..., 3 + k] = _turned(axis, center), _turned(axis, kept)
+        poses[:, 3:, 3 + k], points[..., 3 + k] = _turned(axis, center), _turned(axis, position)
         turned = _turned(axis, normal)
         planes[:, 0, 3 + k], planes[:, 1, 3 + k] = -(second * turned).sum(-1), (first * turned).sum(-1)
-    poses[:, 3:, SCALE], points[..., SCALE], planes[:, 2, SCALE] = center, kept, offset
+    poses[:, 3:, SCALE], points[..., SCALE], planes[:, 2, SCALE] = center, position, offset
     motions = center.new_zeros(layout.size + 1, 7)
-    images = torch.arange(m, device=center.device)
-    motions[layout.pose_columns(images).flatten()] = poses.flatten(0, 1)
-    plane_columns = layout.plane_columns(torch.arange(e, device=center.device)).flatten()
+    motions[layout.pose_columns(torch.arange(m, device=center.device)).flatten()] = poses.flatten(0, 1)
+    plane_columns = layout.plane_columns(layout.interfaces).flatten()
     motions[plane_columns] = planes.flatten(0, 1)
-    if layout.kept is not None:
-        motions[layout.point_columns(layout.kept_points).flatten()] = points.flatten(0, 1)
-    held = [] if layout.held is None else [torch.where(layout.held[..., None], poses, 0.0).flatten(0, 1)]
+    if layout.reduced is not None:
+        motions[layout.point_columns(layout.reduced_points).flatten()] = points.flatten(0, 1)
+    fixed = [] if layout.fixed is None else [torch.where(layout.fixed[..., None], poses, 0.0).flatten(0, 1)]
     if layout.refractive or "index_ratio" in layout.water:
-        held.append(torch.where((plane_columns == layout.size)[:, None], planes.flatten(0, 1), 0.0))
+        fixed.append(torch.where((plane_columns == layout.size)[:, None], planes.flatten(0, 1), 0.0))
     motions[-1] = 0.0
-    return motions[:-1], torch.cat((*held, center.new_zeros(0, 7)))
+    return motions[:-1], torch.cat((*fixed, center.new_zeros(0, 7)))
 
 
 def gauge_directions(
-    state: BundleState, layout: Layout, residuals: Sequence[Residuals] = (), count: int | None = None
-) -> Tensor | None:
-    """Orthonormal basis (size, k) of the gauge; None where there is none.
+    scene: Scene, layout: Layout, residuals: Sequence[Residuals] = (), count: int | None = None
+) -> Float[Tensor, "size k"] | None:
+    """Orthonormal basis of the gauge; None where there is none.
 
-    Through a water plane that is held k = 4: shifts along it, heading, and scale about it. Without refraction k = 7.
-    What is held and what is measured (`residuals`) take away those motions that they notice. count: k, where it is
+    Through an interface that is fixed k = 4: shifts along it, heading, and scale about it. Without refraction k = 7.
+    What is fixed and what is measured (`residuals`) take away those motions that change them. count: k, where it is
     known from before; nothing then waits for a GPU.
     """
-    motions, notices = _scaled(state, layout, residuals)
+    motions, notices = _scaled(scene, layout, residuals)
     if count is None:
         count = _count(motions, notices)
     if count == 0:
@@ -66,19 +66,21 @@ def gauge_directions(
     seen = torch.linalg.solve_triangular(every, notices, upper=True, left=False)
     combined = torch.linalg.solve_triangular(every, _unnoticed(seen, count), upper=True)
     basis = torch.linalg.qr(motions @ combined).Q
-    return torch.where((motions != 0.0).any(dim=1, keepdim=True), basis, 0.0)  # what is held gets no rounding error
+    return torch.where((motions != 0.0).any(dim=1, keepdim=True), basis, 0.0)  # what is fixed gets no rounding error
 
 
-def count_gauge(state: BundleState, layout: Layout, residuals: Sequence[Residuals] = ()) -> int:
+def count_gauge(scene: Scene, layout: Layout, residuals: Sequence[Residuals] = ()) -> int:
     """How many directions `gauge_directions` has."""
-    return _count(*_scaled(state, layout, residuals))
+    return _count(*_scaled(scene, layout, residuals))
 
 
-def _scaled(state: BundleState, layout: Layout, residuals: Sequence[Residuals]) -> tuple[Tensor, Tensor]:
-    """The motions (size, 7), and how they move what is held and what is measured (k, 7), each of about unit length."""
-    motions, held = similarity_motions(state, layout)
+def _scaled(
+    scene: Scene, layout: Layout, residuals: Sequence[Residuals]
+) -> tuple[Float[Tensor, "size 7"], Float[Tensor, "k 7"]]:
+    """The motions, and how they change what is fixed and what is measured, each of about unit length."""
+    motions, fixed = similarity_motions(scene, layout)
     padded = torch.nn.functional.pad(motions, (0, 0, 0, 1))
-    noticed = [held]
+    noticed = [fixed]
     for _, jacobian, columns in residuals:
         size = jacobian.norm(dim=-1, keepdim=True)
         noticed.append((jacobian / torch.where(size > 0, size, 1.0) @ padded[columns]).reshape(-1, 7))
@@ -87,7 +89,7 @@ def _scaled(state: BundleState, layout: Layout, residuals: Sequence[Residuals]) 
     return motions / scale, notices / scale
 
 
-def _count(motions: Tensor, notices: Tensor) -> int:
+def _count(motions: Float[Tensor, "size 7"], notices: Float[Tensor, "k 7"]) -> int:
     """How many combinations of the motions move something, and nothing that is noticed."""
     every = torch.cat((motions, notices))
     _, triangle = torch.linalg.qr(torch.nn.functional.pad(every, (0, 0, 0, max(0, 7 - len(every)))))
@@ -96,8 +98,8 @@ def _count(motions: Tensor, notices: Tensor) -> int:
     return moving - int((torch.linalg.svdvals(seen) > UNNOTICED).sum()) if len(seen) else moving
 
 
-def _unnoticed(notices: Tensor, count: int) -> Tensor:
-    """An orthonormal basis (7, count) of the combinations that are not noticed, by inverse iteration."""
+def _unnoticed(notices: Float[Tensor, "k 7"], count: int) -> Float[Tensor, "7 {count}"]:
+    """An orthonormal basis of the combinations that are not noticed, by inverse iteration."""
     triangle = _triangle(notices)
     row, column = torch.meshgrid(torch.arange(7), torch.arange(count), indexing="ij")
     basis = torch.cos((row + 0.5) * (column + 1.0)).to(triangle)
@@ -107,12 +109,12 @@ def _unnoticed(notices: Tensor, count: int) -> Tensor:
     return basis
 
 
-def _triangle(rows: Tensor) -> Tensor:
-    """R (7, 7) of the QR decomposition of rows (k, 7), its pivots kept from zero."""
+def _triangle(rows: Float[Tensor, "k 7"]) -> Float[Tensor, "7 7"]:
+    """R of the QR decomposition, with pivots that are not zero."""
     _, triangle = torch.linalg.qr(torch.nn.functional.pad(rows, (0, 0, 0, max(0, 7 - len(rows)))))
     pivot, eps = triangle.diagonal(), torch.finfo(triangle.dtype).eps
     return triangle + torch.where(pivot.abs() > eps, 0.0, eps).diag_embed()
 
 
-def _turned(axis: Tensor, vectors: Tensor) -> Tensor:
+def _turned(axis: Float[Tensor, "3"], vectors: Float[Tensor, "k 3"]) -> Float[Tensor, "k 3"]:
     return torch.linalg.cross(axis.expand_as(vectors), vectors)

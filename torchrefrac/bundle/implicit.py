@@ -7,13 +7,15 @@ At a minimum x of the cost F(x, theta) the gradient g(x, theta) vanishes, and by
 whatever way the minimum was found. H is the exact Hessian, with the second derivatives of the residuals and of the loss
 that Gauss-Newton leaves out; systems with it are solved by conjugate gradients, preconditioned with the factorised
 Gauss-Newton matrix, which takes a few steps where residuals are small. A free gauge is fixed by inner constraints
-on what is kept.
+on the reduced unknowns.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.bundle.adjust import adjust
@@ -21,74 +23,70 @@ from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.options import BundleOptions
 from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.bundle.rows import differentiable_rows
-from torchrefrac.bundle.state import BundleState, Links, Observations
 from torchrefrac.bundle.terms import Term
 from torchrefrac.optim import REDUCED_SIZE, GaussNewtonInverse, Step, conjugate_gradients, robust
+from torchrefrac.scene import Scene
 
 MAX_STEPS = 100
 TOLERANCE = 1e-12
 
 
 def adjust_differentiably(
-    state: BundleState,
-    observations: Observations,
+    scene: Scene,
     options: BundleOptions | None = None,
     *,
-    links: Links | None = None,
     terms: Sequence[Term] = (),
-    held: Tensor | None = None,
-) -> BundleState:
+    fixed: Bool[Tensor, "m 6"] | None = None,
+) -> Scene:
     """`adjust`, with gradients of the result in whatever tensors require them.
 
     Gradients flow from rotation, centre, points and from what else is refined to the pixels and weights of the
-    observations, to the tensors in `terms`, to the lens, index ratio and planes of `state` where these are held, and
-    where they are refined to what is expected of them. Where the search starts does not matter and has no gradient.
+    observations, to the tensors in `terms`, to the intrinsics, index ratio and planes of `scene` where these are fixed,
+    and where they are refined to what is expected of them. Where the search starts does not matter and has no gradient.
     First derivatives only. Meaningful only where the search converged: run `adjust` to see its status. Raises
     ValueError for a frozen ratio, whose search ends beside the minimum.
     """
     options = options or BundleOptions()
     if options.jacobian != "exact":
         raise ValueError(f"options.jacobian is {options.jacobian!r}, but the gradients of a minimum need 'exact'")
-    links = links or Links.single(state)
     with torch.no_grad():
-        report = adjust(state.detached(), observations.detached(), options, links=links, terms=terms, held=held)
-        found = report.state.detached()
+        report = adjust(scene.detached(), options, terms=terms, fixed=fixed)
     layout = report.problem.layout
-    problem = BundleProblem.create(state, layout, observations, options, terms)
-    anchored = _with_held(found, state, layout)
+    problem = BundleProblem.create(scene, layout, options, terms)
+    anchored = _with_given(report.scene.detached(), scene, layout)
     return layout.retract(anchored, _attach(problem, anchored))
 
 
-def _with_held(found: BundleState, given: BundleState, layout: Layout) -> BundleState:
+def _with_given(found: Scene, given: Scene, layout: Layout) -> Scene:
     """The solution, with the tensors that were given wherever nothing was refined."""
-    lens, water, radial = found.lens, {}, 2 if "radial" in layout.lens else 0
-    if "focal" not in layout.lens:
-        lens = replace(lens, focal=given.lens.focal)
-    if "principal_point" not in layout.lens:
-        lens = replace(lens, principal_point=given.lens.principal_point)
-    if "distortion" not in layout.lens:
-        parts = (lens.distortion[..., :radial], given.lens.distortion[..., radial:])
-        lens = replace(lens, distortion=torch.cat(parts, dim=-1))
-    if "index_ratio" not in layout.water:
-        water["index_ratio"] = given.index_ratio
-    if "plane_tilt" not in layout.water:
-        water["normal"] = given.planes[0]
-    if "plane_height" not in layout.water:
-        water["offset"] = given.planes[1]
-    return replace(found, lens=lens, **water)
+    radial = 2 if "radial" in layout.intrinsics else 0
+    cameras = {name: getattr(given.cameras, name) for name in ("focal", "principal_point")}
+    cameras["distortion"] = torch.cat(
+        (found.cameras.distortion[..., :radial], given.cameras.distortion[..., radial:]), dim=-1
+    )
+    fields = {"index_ratio": "index_ratio", "plane_tilt": "normal", "plane_height": "offset"}
+    return replace(
+        found,
+        cameras=replace(found.cameras, **{key: cameras[key] for key in cameras if key not in layout.intrinsics}),
+        interfaces=replace(
+            found.interfaces,
+            **{of: getattr(given.interfaces, of) for key, of in fields.items() if key not in layout.water},
+        ),
+        observations=given.observations,
+    )
 
 
-def _attach(problem: BundleProblem, solution: BundleState) -> Step:
+def _attach(problem: BundleProblem, solution: Scene) -> Step:
     """The step -H^-1 g, which is zero, but knows how it depends on everything."""
+    at = solution.detached()
     with torch.no_grad():
-        inverse = GaussNewtonInverse.of(problem.linearize(solution.detached()).system)
+        inverse = GaussNewtonInverse.of(problem.linearize(at).system)
     gradient = _gradient(problem, solution)
     zero = torch.zeros_like(gradient).requires_grad_()
     with torch.enable_grad():
-        at = solution.detached()
         moved = _gradient(problem.detached(), problem.layout.retract(at, _step(problem, zero)))
 
-    def hessian_times(vector: Tensor) -> Tensor:
+    def hessian_times(vector: Float[Tensor, " unknowns"]) -> Float[Tensor, " unknowns"]:
         (product,) = torch.autograd.grad(moved, zero, vector, retain_graph=True)
         return product + inverse.gauge_times(vector)
 
@@ -98,49 +96,53 @@ def _attach(problem: BundleProblem, solution: BundleState) -> Step:
     return _step(problem, -step)
 
 
-def _step(problem: BundleProblem, flat: Tensor) -> Step:
+def _step(problem: BundleProblem, flat: Float[Tensor, " unknowns"]) -> Step:
     size = problem.layout.size
     nothing = flat.new_zeros(())
     return Step(flat[:size], flat[size:].view(-1, 3), nothing, nothing > -1.0)
 
 
-def _gradient(problem: BundleProblem, state: BundleState) -> Tensor:
-    """Of the cost in all unknowns: the reduced ones, then the points that are not kept. Differentiable."""
+def _gradient(problem: BundleProblem, scene: Scene) -> Float[Tensor, " unknowns"]:
+    """Of the cost in all unknowns: the reduced ones, then the points that are eliminated. Differentiable."""
     layout, options, plan = problem.layout, problem.options, problem.plan
-    kept = state.center.new_zeros(layout.size + 1)
-    points = state.center.new_zeros(layout.num_points, 3)
-    for seen in (problem.seen, problem.kept_seen):
+    reduced = scene.points.new_zeros(layout.size + 1)
+    points = scene.points.new_zeros(layout.num_points, 3)
+    for seen in (problem.seen, problem.seen_reduced):
         if not len(seen):
             continue
-        by, residual = differentiable_rows(problem.rows_of, state, layout.links, seen)
+        by, residual = differentiable_rows(problem.rows_of, scene, seen)
         square = residual.square().sum(dim=0)
         pull = residual * robust(square, options.loss, options.loss_scale)[1] * seen.weights
         force = (by * pull[:, None]).sum(dim=0)
         own = force[plan.layout.reduced].T
-        if layout.held is not None:
-            own = torch.cat((own[:, :REDUCED_SIZE] * (~layout.held)[seen.camera], own[:, REDUCED_SIZE:]), dim=1)
-        kept = kept.index_add(0, plan.columns[seen.camera].flatten(), own.flatten())
+        if layout.fixed is not None:
+            own = torch.cat((own[:, :REDUCED_SIZE] * (~layout.fixed)[seen.view], own[:, REDUCED_SIZE:]), dim=1)
+        reduced = reduced.index_add(0, plan.columns[seen.view].flatten(), own.flatten())
         points = points.index_add(0, seen.point, force[plan.layout.eliminated].T)
     for term in problem.terms:
-        value, jacobian, columns = term.residuals(state, layout)
+        value, jacobian, columns = term.residuals(scene, layout)
         pull = options.pixel_sigma**2 * (jacobian.mT @ value[..., None])[..., 0]
-        kept = kept.index_add(0, columns.flatten(), pull.flatten())
-    if layout.kept is not None:
-        which = layout.kept_points
-        kept = kept.index_add(0, layout.point_columns(which).flatten(), points[which].flatten())
-        points = points[layout.free_points]
-    return torch.cat((kept[:-1], points.flatten()))
+        reduced = reduced.index_add(0, columns.flatten(), pull.flatten())
+    if layout.reduced is not None:
+        which = layout.reduced_points
+        reduced = reduced.index_add(0, layout.point_columns(which).flatten(), points[which].flatten())
+        points = points[layout.eliminated_points]
+    return torch.cat((reduced[:-1], points.flatten()))
 
 
 class _Solve(torch.autograd.Function):
-    """x = A^-1 b for a symmetric A that is held."""
+    """x = A^-1 b for a symmetric A without a gradient."""
 
     @staticmethod
-    def forward(ctx, right: Tensor, solve: Callable[[Tensor], Tensor]) -> Tensor:
+    def forward(
+        ctx: Any,
+        right: Float[Tensor, " unknowns"],
+        solve: Callable[[Float[Tensor, " unknowns"]], Float[Tensor, " unknowns"]],
+    ) -> Float[Tensor, " unknowns"]:
         ctx.solve = solve
         return torch.zeros_like(right)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, gradient: Tensor) -> tuple[Tensor, None]:
+    def backward(ctx: Any, gradient: Float[Tensor, " unknowns"]) -> tuple[Float[Tensor, " unknowns"], None]:
         return ctx.solve(gradient), None

@@ -1,86 +1,90 @@
-"""What a bundle adjustment cannot do anything with, said before it begins."""
+"""What a bundle adjustment cannot do anything with, refused before it begins."""
 
 from collections.abc import Sequence
 
 import numpy as np
-import torch
+from jaxtyping import Bool, Shaped
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from torch import Tensor
+from torch import Tensor, bincount
 
-from torchrefrac.bundle.state import BundleState, Links, Observations
+from torchrefrac.checks import TorchrefracError
+from torchrefrac.scene import Scene
 
 SHOWN = 4
 
 
-class UnadjustableError(ValueError):
-    """Observations and state do not make an adjustment; the message says which."""
+class UnadjustableError(TorchrefracError, ValueError):
+    """The scene does not make an adjustment; the message says why."""
 
 
 def check_inputs(
-    state: BundleState,
-    observations: Observations,
-    links: Links,
-    held: Tensor | None = None,
-    names: Sequence[str] | None = None,
-    known: Tensor | None = None,
+    scene: Scene, fixed: Bool[Tensor, "m 6"] | None = None, known: Bool[Tensor, " n"] | None = None
 ) -> None:
-    """Raise UnadjustableError for a state or pixels that are not finite, ids out of range, cameras that are not above
-    their water plane, points that fewer than two images see, images without any, and images that no chain of common
-    points connects to the rest (unless their poses are held). names (m): of the images, for the
-    messages. known (n): points that have measurements of their own; these may be seen once.
+    """Raise UnadjustableError for a scene of which not everything takes part, for values that are not finite, ids out
+    of range, views that are not above their interface, points that fewer than two views see, views without any, and
+    views that no chain of common points connects to the rest (unless their poses are fixed); SceneError for interfaces
+    of several index ratios. known: points that have measurements of their own; these may be seen once.
     """
-    told = tuple(f"camera {i}" for i in range(len(state.center))) if names is None else tuple(names)
-    _check_finite(state)
-    m, n = len(state.center), len(state.points)
-    camera, point = observations.camera, observations.point
-    for name, ids, count in (("camera", camera, m), ("point", point, n)):
+    views, seen, interfaces = scene.views, scene.observations, scene.interfaces
+    for name, mask in (("view", views.registered), ("point", scene.placed), ("observation", scene.accepted)):
+        if not bool(mask.all()):
+            raise UnadjustableError(f"not every {name} takes part; adjust `scene.part().scene`")
+    _check_finite(scene)
+    m, n = len(views), len(scene.points)
+    for name, ids, count in (("view", seen.view, m), ("point", seen.point, n)):
         if len(ids) and (int(ids.min()) < 0 or int(ids.max()) >= count):
             raise UnadjustableError(f"observations.{name} has ids outside 0 to {count - 1}")
-    broken = (~observations.pixels.isfinite()).any(dim=-1).nonzero()[:, 0]
+    broken = (~seen.pixels.isfinite()).any(dim=-1).nonzero()[:, 0]
     if len(broken):
-        where = _listed([f"{i} ({told[int(camera[i])]})" for i in broken[:SHOWN].tolist()], len(broken))
+        where = _listed([f"{i} ({views.names[int(seen.view[i])]})" for i in broken[:SHOWN].tolist()], len(broken))
         raise UnadjustableError(f"pixels are not finite in observation {where}; leave such observations out")
-    normal, offset = state.planes
-    height = (normal[links.plane] * state.center).sum(dim=-1) - offset[links.plane]
-    below = (height <= 0.0).nonzero()[:, 0] if float(state.index_ratio) > 1.0 else height[:0].long()
+    normal, offset = interfaces.normal[views.interface], interfaces.offset[views.interface]
+    height = (normal * views.center).sum(dim=-1) - offset
+    below = (height <= 0.0).nonzero()[:, 0] if scene.index_ratio > 1.0 else height[:0].long()
     if len(below):
-        where = _listed([told[i] for i in below[:SHOWN].tolist()], len(below))
+        where = _listed([views.names[i] for i in below[:SHOWN].tolist()], len(below))
         raise UnadjustableError(
             f"not above the water plane: {where}; give the plane in the frame of the cameras, its normal towards them"
         )
-    seen = torch.bincount(point, minlength=n)
-    lonely = ((seen < 2) if known is None else (seen < 2) & ~known).nonzero()[:, 0]
+    lonely = bincount(seen.point, minlength=n) < 2
+    lonely = (lonely if known is None else lonely & ~known).nonzero()[:, 0]
     if len(lonely):
         where = _listed([str(i) for i in lonely[:SHOWN].tolist()], len(lonely))
         raise UnadjustableError(f"seen by fewer than two images: point {where}; leave such points out")
-    _check_connected(camera, point, m, n, held, told)
+    _check_connected(scene, fixed)
 
 
-def _check_finite(state: BundleState) -> None:
-    values = {
-        name: getattr(state, name) for name in ("rotation", "center", "points", "index_ratio", "normal", "offset")
-    }
-    values |= {f"lens.{name}": getattr(state.lens, name) for name in ("focal", "principal_point", "distortion")}
+def _check_finite(scene: Scene) -> None:
+    values: dict[str, Shaped[Tensor, ...]] = {"points": scene.points}
+    for table, names in (
+        ("views", ("rotation", "center")),
+        ("interfaces", ("normal", "offset", "index_ratio")),
+        ("cameras", ("focal", "principal_point", "distortion")),
+    ):
+        values |= {f"{table}.{name}": getattr(getattr(scene, table), name) for name in names}
     for name, value in values.items():
         if not bool(value.isfinite().all()):
-            raise UnadjustableError(f"state.{name} is not finite")
+            raise UnadjustableError(f"scene.{name} is not finite")
 
 
-def _check_connected(camera: Tensor, point: Tensor, m: int, n: int, held: Tensor | None, names: Sequence[str]) -> None:
-    edges = (np.ones(len(camera)), (camera.cpu().numpy(), point.cpu().numpy() + m))
-    count, label = connected_components(coo_array(edges, shape=(m + n, m + n)), directed=False)
+def _check_connected(scene: Scene, fixed: Bool[Tensor, "m 6"] | None) -> None:
+    seen, m = scene.observations, len(scene.views)
+    size = m + len(scene.points)
+    edges = (np.ones(len(seen)), (seen.view.cpu().numpy(), seen.point.cpu().numpy() + m))
+    count, label = connected_components(coo_array(edges, shape=(size, size)), directed=False)
     if count == 1:
         return
     parts = [np.nonzero(label[:m] == part)[0] for part in range(count)]
     sizes = sorted(parts, key=len, reverse=True)
-    fixed = np.zeros(m, dtype=bool) if held is None else held.all(dim=-1).cpu().numpy()
-    apart = [part for part in sizes[1:] if len(part) and not fixed[part].all()]
+    whole = np.zeros(m, dtype=bool) if fixed is None else fixed.all(dim=-1).cpu().numpy()
+    apart = [part for part in sizes[1:] if len(part) and not whole[part].all()]
     if apart:
-        told = "; ".join(_listed([names[int(i)] for i in part[:SHOWN]], len(part)) for part in apart[:SHOWN])
+        names = scene.views.names
+        listed = "; ".join(_listed([names[int(i)] for i in part[:SHOWN]], len(part)) for part in apart[:SHOWN])
         raise UnadjustableError(
-            f"no common points connect the images: {len(apart) + 1} parts, apart from the largest: {told}; adjust the "
-            "parts one by one"
+            f"no common points connect the images: {len(apart) + 1} parts, apart from the largest: {listed}; adjust "
+            "the parts one by one"
         )
 
 

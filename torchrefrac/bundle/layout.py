@@ -1,167 +1,166 @@
-"""Where every unknown of a bundle adjustment is found, and how a step changes the state.
+"""Where every unknown of a bundle adjustment is found, and how a step changes the scene.
 
-Points are eliminated by the solver, but for those that a measurement of their own concerns (a mark with known
-coordinates, an end of a scale bar, a point on the waterline): these are kept, as unknowns like the cameras.
+Points are eliminated by the solver, but for those that a measurement of their own concerns (a ground control point, an
+end of a scale bar, a point on the waterline): these are reduced unknowns like the poses.
 """
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.bundle.rows import LENS, WATER_WIDTH
-from torchrefrac.bundle.state import BundleState, Links
-from torchrefrac.geometry import Plane, so3_exp
+from torchrefrac.bundle.rows import INTRINSICS, WATER_WIDTH
+from torchrefrac.geometry import so3_exp
 from torchrefrac.optim import REDUCED_SIZE, Family, Step
+from torchrefrac.scene import Cameras, Interfaces, Scene
 
 
 @dataclass(frozen=True)
 class Layout:
-    """lens and water: what varies of them (keys of `rows.LENS` and of WATER_WIDTH). held (m, 6): unknowns of the poses
-    (rotation, centre) that do not vary; hold_points: none of the points do. kept (n): which points are kept.
-    refractive: whether the index ratio is above 1, so that images tell of the plane."""
+    """camera and interface: those of each view. intrinsics and water: what varies of them (keys of `rows.INTRINSICS`
+    and of WATER_WIDTH). fixed: unknowns of the poses (rotation, centre) that do not vary; fix_points: none of the
+    points do. reduced: which points are reduced unknowns. refractive: whether the index ratio is above 1, so that
+    images depend on the plane."""
 
-    links: Links
-    num_lenses: int
-    num_planes: int
+    camera: Int[Tensor, " m"]
+    interface: Int[Tensor, " m"]
+    num_cameras: int
+    num_interfaces: int
     num_points: int
-    lens: tuple[str, ...] = ()
+    intrinsics: tuple[str, ...] = ()
     water: tuple[str, ...] = ()
-    held: Tensor | None = None
-    hold_points: bool = False
-    kept: Tensor | None = None
+    fixed: Bool[Tensor, "m 6"] | None = None
+    fix_points: bool = False
+    reduced: Bool[Tensor, " n"] | None = None
     refractive: bool = True
 
     @classmethod
     def create(
         cls,
-        state: BundleState,
-        links: Links,
+        scene: Scene,
         refine: tuple[str, ...] = (),
-        held: Tensor | None = None,
-        hold_points: bool = False,
-        kept: Tensor | None = None,
+        fixed: Bool[Tensor, "m 6"] | None = None,
+        fix_points: bool = False,
+        reduced: Bool[Tensor, " n"] | None = None,
     ) -> "Layout":
-        """For `state`, with what `refine` names varying besides poses and points. Raises ValueError for other names."""
-        known = (*LENS, *WATER_WIDTH)
+        """For `scene`, with what `refine` names varying besides poses and points. Raises ValueError for other names."""
+        known = (*INTRINSICS, *WATER_WIDTH)
         unknown = [name for name in refine if name not in known]
         if unknown:
             raise ValueError(f"refine has {unknown[0]!r}, but knows {', '.join(known)}")
         if "radial" in refine and "distortion" in refine:
             raise ValueError("refine has radial and distortion, but the first is part of the second")
         return cls(
-            links=links,
-            num_lenses=state.lens.shape[0] if state.lens.shape else 1,
-            num_planes=len(state.planes[0]),
-            num_points=len(state.points),
-            lens=tuple(name for name in LENS if name in refine),
+            camera=scene.views.camera,
+            interface=scene.views.interface,
+            num_cameras=len(scene.cameras),
+            num_interfaces=len(scene.interfaces),
+            num_points=len(scene.points),
+            intrinsics=tuple(name for name in INTRINSICS if name in refine),
             water=tuple(name for name in WATER_WIDTH if name in refine),
-            held=held if held is not None and bool(held.any()) else None,
-            hold_points=hold_points,
-            kept=kept if kept is not None and bool(kept.any()) else None,
-            refractive=float(state.index_ratio) > 1.0,
+            fixed=fixed if fixed is not None and bool(fixed.any()) else None,
+            fix_points=fix_points,
+            reduced=reduced if reduced is not None and bool(reduced.any()) else None,
+            refractive=scene.interfaces.refract(),
         )
 
     @property
-    def num_cameras(self) -> int:
-        return len(self.links.lens)
+    def num_views(self) -> int:
+        return len(self.camera)
+
+    @property
+    def cameras(self) -> Int[Tensor, " g"]:
+        """All their ids."""
+        return torch.arange(self.num_cameras, device=self.camera.device)
+
+    @property
+    def interfaces(self) -> Int[Tensor, " e"]:
+        """All their ids."""
+        return torch.arange(self.num_interfaces, device=self.camera.device)
 
     @cached_property
     def families(self) -> tuple[Family, ...]:
-        """In the order of the rows: the lens, the index ratio, the plane."""
+        """In the order of the rows: the intrinsics, the index ratio, the plane."""
         families = []
-        if self.lens:
-            families.append(Family(self._lens_size, self.links.lens, self.num_lenses))
+        if self.intrinsics:
+            families.append(Family(self._intrinsics_size, self.camera, self.num_cameras))
         if "index_ratio" in self.water:
-            families.append(Family(1, torch.zeros_like(self.links.plane), 1))
+            families.append(Family(1, torch.zeros_like(self.interface), 1))
         if self._plane_size:
-            families.append(Family(self._plane_size, self.links.plane, self.num_planes))
+            families.append(Family(self._plane_size, self.interface, self.num_interfaces))
         return tuple(families)
 
     @property
     def size(self) -> int:
-        """Of the reduced system; also the column that stands for whatever is held."""
-        return self.first_kept + 3 * self.num_kept
-
-    @property
-    def num_kept(self) -> int:
-        return len(self.kept_points)
+        """How many reduced unknowns there are; also the column that stands for whatever is fixed."""
+        return self.first_point + 3 * len(self.reduced_points)
 
     @cached_property
-    def kept_points(self) -> Tensor:
-        """Ids of the points that are kept."""
-        return self.links.lens[:0] if self.kept is None else self.kept.nonzero()[:, 0]
+    def reduced_points(self) -> Int[Tensor, " r"]:
+        """Ids of the points that are reduced unknowns."""
+        return self.camera[:0] if self.reduced is None else self.reduced.nonzero()[:, 0]
 
     @cached_property
-    def free_points(self) -> Tensor:
+    def eliminated_points(self) -> Int[Tensor, " p"]:
         """Ids of the points that are not."""
-        every = torch.arange(self.num_points, device=self.links.lens.device)
-        return every if self.kept is None else (~self.kept).nonzero()[:, 0]
+        every = torch.arange(self.num_points, device=self.camera.device)
+        return every if self.reduced is None else (~self.reduced).nonzero()[:, 0]
 
     @property
-    def first_kept(self) -> int:
-        return REDUCED_SIZE * self.num_cameras + sum(family.size * family.count for family in self.families)
+    def first_point(self) -> int:
+        """The column where reduced points begin."""
+        return REDUCED_SIZE * self.num_views + sum(family.size * family.count for family in self.families)
 
-    def pose_columns(self, image: Tensor) -> Tensor:
-        """Of rotation and centre of images (k): (k, 6)."""
-        columns = REDUCED_SIZE * image[:, None] + torch.arange(REDUCED_SIZE, device=image.device)
-        return columns if self.held is None else torch.where(self.held[image], self.size, columns)
+    def pose_columns(self, view: Int[Tensor, " k"]) -> Int[Tensor, "k 6"]:
+        """Of rotation and centre of views."""
+        columns = REDUCED_SIZE * view[:, None] + torch.arange(REDUCED_SIZE, device=view.device)
+        return columns if self.fixed is None else torch.where(self.fixed[view], self.size, columns)
 
-    def lens_columns(self, name: str, lens: Tensor) -> Tensor:
-        """Of one kind of unknown of lenses (k): (k, its width)."""
-        before = sum(LENS[other].width for other in self.lens[: self.lens.index(name)])
-        first = REDUCED_SIZE * self.num_cameras + self._lens_size * lens + before
-        return first[:, None] + torch.arange(LENS[name].width, device=lens.device)
+    def intrinsics_columns(self, name: str, camera: Int[Tensor, " k"]) -> Int[Tensor, "k width"]:
+        """Of one kind of unknown of cameras."""
+        before = sum(INTRINSICS[other].width for other in self.intrinsics[: self.intrinsics.index(name)])
+        first = REDUCED_SIZE * self.num_views + self._intrinsics_size * camera + before
+        return first[:, None] + torch.arange(INTRINSICS[name].width, device=camera.device)
 
     def index_column(self) -> int:
         """Of the index ratio."""
-        if "index_ratio" not in self.water:
-            return self.size
-        return REDUCED_SIZE * self.num_cameras + self._lens_size * self.num_lenses
+        return self._first_water if "index_ratio" in self.water else self.size
 
-    def plane_columns(self, plane: Tensor) -> Tensor:
-        """Of the two tilts and the height of planes (k): (k, 3)."""
-        first = REDUCED_SIZE * self.num_cameras + self._lens_size * self.num_lenses + ("index_ratio" in self.water)
-        columns = torch.full((len(plane), 3), self.size, device=plane.device)
-        start = first + self._plane_size * plane[:, None]
+    def plane_columns(self, interface: Int[Tensor, " k"]) -> Int[Tensor, "k 3"]:
+        """Of the two tilts and the height of interfaces."""
+        columns = torch.full((len(interface), 3), self.size, device=interface.device)
+        start = self._first_water + ("index_ratio" in self.water) + self._plane_size * interface[:, None]
         tilts = 2 if "plane_tilt" in self.water else 0
-        columns[:, :tilts] = start + torch.arange(tilts, device=plane.device)
+        columns[:, :tilts] = start + torch.arange(tilts, device=interface.device)
         if "plane_height" in self.water:
             columns[:, 2:] = start + tilts
         return columns
 
-    def point_columns(self, point: Tensor) -> Tensor:
-        """Of points (k) that are kept: (k, 3)."""
-        assert self.kept is not None
-        slot = torch.cumsum(self.kept.long(), dim=0) - 1
-        return self.first_kept + 3 * slot[point][:, None] + torch.arange(3, device=point.device)
+    def point_columns(self, point: Int[Tensor, " k"]) -> Int[Tensor, "k 3"]:
+        """Of points that are reduced unknowns."""
+        assert self.reduced is not None
+        slot = torch.cumsum(self.reduced.long(), dim=0) - 1
+        return self.first_point + 3 * slot[point][:, None] + torch.arange(3, device=point.device)
 
-    def retract(self, state: BundleState, step: Step) -> BundleState:
-        """The state after a step; step.eliminated (n - kept, 3) moves the points that are not kept."""
-        m = self.num_cameras
-        blocks = step.reduced[: REDUCED_SIZE * m].view(m, REDUCED_SIZE)
-        points = state.points
-        if self.kept is not None:
-            points = points.index_add(0, self.kept_points, step.reduced[self.first_kept :].view(-1, 3))
-            points = points.index_add(0, self.free_points, step.eliminated)
-        elif not self.hold_points:
+    def retract(self, scene: Scene, step: Step) -> Scene:
+        """The scene after a step."""
+        m, points = self.num_views, scene.points
+        poses = step.reduced[: REDUCED_SIZE * m].view(m, REDUCED_SIZE)
+        if self.reduced is not None:
+            points = points.index_add(0, self.reduced_points, step.reduced[self.first_point :].view(-1, 3))
+            points = points.index_add(0, self.eliminated_points, step.eliminated)
+        elif not self.fix_points:
             points = points + step.eliminated
-        moved = replace(
-            state,
-            rotation=so3_exp(blocks[:, :3]) @ state.rotation,
-            center=state.center + blocks[:, 3:],
-            points=points,
-        )
-        if self.lens:
-            moved = replace(moved, lens=self._moved_lens(state, step.reduced))
-        return self._moved_water(moved, step.reduced) if self.water else moved
+        views = scene.views.at(so3_exp(poses[:, :3]) @ scene.views.rotation, scene.views.center + poses[:, 3:])
+        cameras = self._moved_cameras(scene.cameras, step.reduced) if self.intrinsics else scene.cameras
+        interfaces = self._moved_interfaces(scene.interfaces, step.reduced) if self.water else scene.interfaces
+        return replace(scene, cameras=cameras, views=views, interfaces=interfaces, points=points)
 
-    def _moved_lens(self, state: BundleState, kept: Tensor):
-        lens, shape = state.lens, state.lens.shape
-        every = torch.arange(self.num_lenses, device=kept.device)
-        change = {name: kept[self.lens_columns(name, every)].view(*shape, -1) for name in self.lens}
-        focal, middle, distortion = lens.focal, lens.principal_point, lens.distortion
+    def _moved_cameras(self, cameras: Cameras, reduced: Float[Tensor, " size"]) -> Cameras:
+        change = {name: reduced[self.intrinsics_columns(name, self.cameras)] for name in self.intrinsics}
+        focal, middle, distortion = cameras.focal, cameras.principal_point, cameras.distortion
         if "focal" in change:
             focal = focal * change["focal"].exp()
         if "principal_point" in change:
@@ -169,23 +168,25 @@ class Layout:
         for name in ("radial", "distortion"):
             if name in change:
                 distortion = distortion + torch.nn.functional.pad(change[name], (0, 5 - change[name].shape[-1]))
-        return replace(lens, focal=focal, principal_point=middle, distortion=distortion)
+        return replace(cameras, focal=focal, principal_point=middle, distortion=distortion)
 
-    def _moved_water(self, state: BundleState, kept: Tensor) -> BundleState:
-        index_ratio = state.index_ratio
+    def _moved_interfaces(self, interfaces: Interfaces, reduced: Float[Tensor, " size"]) -> Interfaces:
+        index_ratio, normal, offset = interfaces.index_ratio, interfaces.normal, interfaces.offset
         if "index_ratio" in self.water:
-            index_ratio = index_ratio + kept[self.index_column()]
-        normal, offset = state.planes
+            index_ratio = index_ratio + reduced[self.index_column()]
         if self._plane_size:
-            padded = torch.nn.functional.pad(kept, (0, 1))
-            change = padded[self.plane_columns(torch.arange(self.num_planes, device=kept.device))]
-            plane = Plane(normal, offset, check=False).moved(change[:, :2], change[:, 2])
+            change = torch.nn.functional.pad(reduced, (0, 1))[self.plane_columns(self.interfaces)]
+            plane = interfaces.planes.moved(change[:, :2], change[:, 2])
             normal, offset = plane.normal_like(normal), plane.offset
-        return replace(state, index_ratio=index_ratio, normal=normal, offset=offset)
+        return Interfaces(normal, torch.as_tensor(offset), index_ratio)
 
     @property
-    def _lens_size(self) -> int:
-        return sum(LENS[name].width for name in self.lens)
+    def _first_water(self) -> int:
+        return REDUCED_SIZE * self.num_views + self._intrinsics_size * self.num_cameras
+
+    @property
+    def _intrinsics_size(self) -> int:
+        return sum(INTRINSICS[name].width for name in self.intrinsics)
 
     @property
     def _plane_size(self) -> int:

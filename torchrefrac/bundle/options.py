@@ -14,7 +14,7 @@ class BundleOptions:
     """loss of loss_scale pixels. pixel_sigma: expected noise of a keypoint, pixels; weighs it against what else was
     measured.
 
-    refine: what varies besides poses and points: of the lens focal (both focal lengths by the same factor),
+    refine: what varies besides poses and points: of the intrinsics focal (both focal lengths by the same factor),
     principal_point, radial (k1 and k2), distortion (all five); of the water index_ratio, plane_tilt, plane_height.
     expected: what is known of them beforehand. refine_unseen: vary even what the data do not determine.
     jacobian: exact, or with the refrax ratio frozen as in the paper. reduced_solver: see `optim.Linearized`. compiled:

@@ -1,4 +1,4 @@
-"""Reprojection errors and their derivatives in the layout of the solver: N observations side by side, each number of
+"""Reprojection errors and their derivatives in the layout of the solver: observations side by side, each number of
 them in a row of its own."""
 
 from collections.abc import Callable, Mapping, Sequence
@@ -7,14 +7,15 @@ from functools import cache
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
-from torchrefrac.bundle.state import BundleState, Links, Observations
 from torchrefrac.camera import Intrinsics, projection_parts
 from torchrefrac.camera.jacobians import Axes
 from torchrefrac.geometry import Plane
 from torchrefrac.optim import LossName, RowLayout, in_cache, robust
 from torchrefrac.refraction import FlatInterface
+from torchrefrac.scene import Observations, Scene
 
 IMPOSSIBLE_PX = 1e3
 POSE = ("rotation", "center")
@@ -23,32 +24,32 @@ WATER = {"index_ratio": "indices", "plane_tilt": "plane_tilt", "plane_height": "
 BLOCK, COMPILED_BLOCK = 32768, 65536
 
 
-class LensUnknown(NamedTuple):
-    """One kind of unknown of a lens: how many numbers it has, and of which block of derivatives it is made."""
+class IntrinsicsUnknown(NamedTuple):
+    """One kind of unknown of a camera: how many numbers it has, and of which block of derivatives it is made."""
 
     width: int
     block: str
 
-    def of(self, by: Mapping[str, Axes], focal: Tensor, axis: int) -> Sequence[Tensor]:
+    def of(self, by: Mapping[str, Axes], focal: Float[Tensor, "*camera 2"], axis: int) -> Sequence[Float[Tensor, " k"]]:
         """Derivatives of one pixel coordinate. That in the logarithm of the focal length is the focal length times
         that in itself, which differs from zero for the coordinate's own only."""
         parts = by[self.block][axis]
         return [focal[..., axis] * parts[axis]] if self.block == "focal" else parts[: self.width]
 
 
-LENS = {
-    "focal": LensUnknown(1, "focal"),
-    "principal_point": LensUnknown(2, "principal_point"),
-    "radial": LensUnknown(2, "distortion"),
-    "distortion": LensUnknown(5, "distortion"),
+INTRINSICS = {
+    "focal": IntrinsicsUnknown(1, "focal"),
+    "principal_point": IntrinsicsUnknown(2, "principal_point"),
+    "radial": IntrinsicsUnknown(2, "distortion"),
+    "distortion": IntrinsicsUnknown(5, "distortion"),
 }
 
 
 @dataclass(frozen=True)
 class RowModel:
-    """What the rows depend on beside tensors. lens, water: names of the unknowns, keys of LENS and of WATER."""
+    """What the rows depend on beside tensors. intrinsics, water: what varies, keys of INTRINSICS and of WATER."""
 
-    lens: tuple[str, ...] = ()
+    intrinsics: tuple[str, ...] = ()
     water: tuple[str, ...] = ()
     loss: LossName = "huber"
     loss_scale: float = 0.25
@@ -56,35 +57,33 @@ class RowModel:
 
     @property
     def layout(self) -> RowLayout:
-        """Of the rows; lens and water as one family each."""
-        lens, water = (LENS[name].width for name in self.lens), (WATER_WIDTH[name] for name in self.water)
-        return RowLayout.of(sum(lens), sum(water))
+        """Of the rows; intrinsics and water as one family each."""
+        widths = (INTRINSICS[name].width for name in self.intrinsics), (WATER_WIDTH[name] for name in self.water)
+        return RowLayout.of(*map(sum, widths))
 
 
 def observation_rows(
     model: RowModel,
-    state: BundleState,
-    links: Links,
+    scene: Scene,
     seen: Observations,
     compiled: bool = False,
-    out: Tensor | None = None,
-) -> tuple[Tensor, Tensor]:
-    """Rows (2, layout.size, N), weighted, and the cost of the observations, a scalar.
+    out: Float[Tensor, "..."] | None = None,
+) -> tuple[Float[Tensor, "2 row k"], Float[Tensor, ""]]:
+    """Rows, weighted, and the cost of the observations `seen`, which need not be those of the scene.
 
-    Per observation: derivatives in the pose (rotation, centre), in the lens, in the water, in the point; the residual
-    (projection minus pixel). The loss is of the reprojection error, and weighted as a whole. An impossible observation
-    (behind the camera, say) weighs nothing and costs as much as one that is IMPOSSIBLE_PX off. out: where to write the
-    rows, if its shape is theirs.
+    Per observation: derivatives in the pose (rotation, centre), in the intrinsics, in the water, in the point; the
+    residual (projection minus pixel). The loss is of the reprojection error, and weighted as a whole. An impossible
+    observation (behind the camera, say) weighs nothing and costs as much as one that is IMPOSSIBLE_PX off. out: where
+    to write the rows, if its shape is theirs.
     """
-    tables = _Tables.of(state, links)
     shape = (2, model.layout.size, len(seen))
     rows = out if out is not None and out.shape == shape else seen.pixels.new_empty(shape)
     cost = seen.pixels.new_zeros(())
     for here in in_cache(len(seen), COMPILED_BLOCK if compiled else BLOCK):
         if compiled:
-            rho = _compiled()(rows[..., here], model, *tables.gather(seen[here]))
+            rho = _compiled()(rows[..., here], model, *_gathered(scene, seen[here]))
         else:
-            (u, v), rho = _parts(model, *tables.gather(seen[here]))
+            (u, v), rho = _parts(model, *_gathered(scene, seen[here]))
             torch.stack(u, out=rows[0, :, here])
             torch.stack(v, out=rows[1, :, here])
         if seen.weight is not None:
@@ -94,69 +93,57 @@ def observation_rows(
     return rows, cost
 
 
-def differentiable_rows(model: RowModel, state: BundleState, links: Links, seen: Observations) -> tuple[Tensor, Tensor]:
-    """Derivatives (2, layout.size - 1, N) and residuals (2, N), not weighted, zero where impossible; with a graph."""
-    rows, _ = _rows(replace(model, loss="squared"), *_Tables.of(state, links).gather(seen))
+def differentiable_rows(
+    model: RowModel, scene: Scene, seen: Observations
+) -> tuple[Float[Tensor, "2 unknowns k"], Float[Tensor, "2 k"]]:
+    """Derivatives and residuals, not weighted, zero where impossible; with a graph."""
+    rows, _ = _rows(replace(model, loss="squared"), *_gathered(scene, seen))
     return rows[:, :-1], rows[:, -1]
 
 
-@dataclass(frozen=True)
-class _Tables:
-    """State and links, ready to be looked up. single: whether there is one lens, one plane."""
-
-    state: BundleState
-    links: Links
-    one_lens: bool
-    one_plane: bool
-
-    @classmethod
-    def of(cls, state: BundleState, links: Links) -> "_Tables":
-        return cls(state, links, not state.lens.shape or state.lens.shape[0] == 1, len(state.planes[0]) == 1)
-
-    def gather(self, seen: Observations) -> tuple[Tensor, ...]:
-        """rotation, center, points, pixels, focal, principal_point, distortion, index_ratio, normal, offset."""
-        state, camera = self.state, seen.camera
-        lens = [state.lens.focal, state.lens.principal_point, state.lens.distortion]
-        planes = list(state.planes)
-        if self.one_lens:
-            lens = [value.reshape(-1) for value in lens]
-        else:
-            lens = [value[self.links.lens[camera]] for value in lens]
-        planes = [value[0] if self.one_plane else value[self.links.plane[camera]] for value in planes]
-        return (
-            _look_up(state.rotation, camera),
-            _look_up(state.center, camera),
-            _look_up(state.points, seen.point),
-            seen.pixels,
-            *lens,
-            state.index_ratio,
-            *planes,
-        )
+def _gathered(scene: Scene, seen: Observations) -> tuple[Float[Tensor, "..."], ...]:
+    """What `_parts` takes; of the one camera or interface of all views there is no copy."""
+    views, cameras, interfaces = scene.views, scene.cameras, scene.interfaces
+    camera = 0 if len(cameras) == 1 else views.camera[seen.view]
+    interface = 0 if len(interfaces) == 1 else views.interface[seen.view]
+    return (
+        _look_up(views.rotation, seen.view),
+        _look_up(views.center, seen.view),
+        _look_up(scene.points, seen.point),
+        seen.pixels,
+        cameras.focal[camera],
+        cameras.principal_point[camera],
+        cameras.distortion[camera],
+        interfaces.index_ratio[0],
+        interfaces.normal[interface],
+        interfaces.offset[interface],
+    )
 
 
-def _look_up(table: Tensor, index: Tensor) -> Tensor:
+def _look_up(table: Float[Tensor, "rows *entry"], index: Int[Tensor, " k"]) -> Float[Tensor, "k *entry"]:
     """table[index], with each component of the entries contiguous."""
     return table.flatten(1).T.contiguous().index_select(1, index).T.unflatten(1, table.shape[1:])
 
 
 def _parts(
     model: RowModel,
-    rotation: Tensor,
-    center: Tensor,
-    points: Tensor,
-    pixels: Tensor,
-    focal: Tensor,
-    principal_point: Tensor,
-    distortion: Tensor,
-    index_ratio: Tensor,
-    normal: Tensor,
-    offset: Tensor,
-) -> tuple[list[list[Tensor]], Tensor]:
-    """The rows of u and those of v (N each), and rho (N)."""
-    lens = Intrinsics(1, 1, focal, principal_point, distortion)
+    rotation: Float[Tensor, "k 3 3"],
+    center: Float[Tensor, "k 3"],
+    points: Float[Tensor, "k 3"],
+    pixels: Float[Tensor, "k 2"],
+    focal: Float[Tensor, "*camera 2"],
+    principal_point: Float[Tensor, "*camera 2"],
+    distortion: Float[Tensor, "*camera 5"],
+    index_ratio: Float[Tensor, ""],
+    normal: Float[Tensor, "*interface 3"],
+    offset: Float[Tensor, "*interface"],
+) -> tuple[list[list[Float[Tensor, " k"]]], Float[Tensor, " k"]]:
+    """The rows of u and those of v, and rho."""
+    intrinsics = Intrinsics(1, 1, focal, principal_point, distortion)
     interface = FlatInterface(index_ratio, plane=Plane(normal, offset, check=False), check=False)
-    wanted = (*POSE, "point", *(LENS[name].block for name in model.lens), *(WATER[name] for name in model.water))
-    pixel, valid, by = projection_parts(lens, rotation, center, points, interface, wanted, model.frozen_ratio)
+    blocks = *(INTRINSICS[name].block for name in model.intrinsics), *(WATER[name] for name in model.water)
+    wanted = (*POSE, "point", *blocks)
+    pixel, valid, by = projection_parts(intrinsics, rotation, center, points, interface, wanted, model.frozen_ratio)
     residual = pixel[0] - pixels[:, 0], pixel[1] - pixels[:, 1]
     square = torch.addcmul(residual[0] * residual[0], residual[1], residual[1])
     rho, weight = robust(square, model.loss, model.loss_scale)
@@ -165,23 +152,23 @@ def _parts(
     axes = []
     for axis in (0, 1):
         parts = [part for name in POSE for part in by[name][axis]]
-        parts += [part for name in model.lens for part in LENS[name].of(by, focal, axis)]
+        parts += [part for name in model.intrinsics for part in INTRINSICS[name].of(by, focal, axis)]
         parts += [part for name in model.water for part in by[WATER[name]][axis]]
         axes.append([part * root for part in (*parts, *by["point"][axis], residual[axis])])
     return axes, torch.where(valid, rho, impossible)
 
 
-def _rows(model: RowModel, *tensors: Tensor) -> tuple[Tensor, Tensor]:
+def _rows(model: RowModel, *tensors: Shaped[Tensor, "..."]) -> tuple[Float[Tensor, "2 row k"], Float[Tensor, " k"]]:
     axes, rho = _parts(model, *tensors)
     return torch.stack([part for axis in axes for part in axis]).unflatten(0, (2, -1)), rho
 
 
-def _write_rows(out: Tensor, model: RowModel, *tensors: Tensor) -> Tensor:
+def _write_rows(out: Float[Tensor, "2 row k"], model: RowModel, *tensors: Shaped[Tensor, "..."]) -> Float[Tensor, " k"]:
     rows, rho = _rows(model, *tensors)
     out.copy_(rows)
     return rho
 
 
 @cache
-def _compiled() -> Callable[..., Tensor]:
+def _compiled() -> Callable[..., Float[Tensor, " k"]]:
     return torch.compile(_write_rows, dynamic=True)

@@ -9,98 +9,99 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.bundle.layout import Layout
-from torchrefrac.bundle.rows import LENS
-from torchrefrac.bundle.state import BundleState
+from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.geometry import Plane, skew
+from torchrefrac.scene import Scene
 
 
 class Residuals(NamedTuple):
-    """K residuals of r numbers, in standard deviations (K, r), their derivatives (K, r, w), and which reduced unknowns
-    these are in (K, w)."""
+    """Residuals in standard deviations, their derivatives, and which reduced unknowns these are in."""
 
-    value: Tensor
-    jacobian: Tensor
-    columns: Tensor
+    value: Float[Tensor, "k numbers"]
+    jacobian: Float[Tensor, "k numbers width"]
+    columns: Int[Tensor, "k width"]
 
 
 class Term(Protocol):
     """One kind of measurement."""
 
-    def residuals(self, state: BundleState, layout: Layout) -> Residuals: ...
+    def residuals(self, scene: Scene, layout: Layout) -> Residuals: ...
 
 
 @dataclass(frozen=True)
 class GravityPrior:
-    """Unit directions down_in_cam (m, 3) of all images, or (k, 3) of `image` (k); expected error `sigma`, radians."""
+    """Unit directions down_in_cam of all views, or of `view`; expected error `sigma`, radians."""
 
-    down_in_cam: Tensor
-    sigma: float | Tensor
-    image: Tensor | None = None
+    down_in_cam: Float[Tensor, "k 3"]
+    sigma: float | Float[Tensor, "*k"]
+    view: Int[Tensor, " k"] | None = None
 
-    def residuals(self, state: BundleState, layout: Layout) -> Residuals:
+    def residuals(self, scene: Scene, layout: Layout) -> Residuals:
         """R (0, 0, -1) - down; the derivative in a left perturbation is -[R (0, 0, -1)]x."""
-        image = _all_or(self.image, state.center)
-        predicted = -state.rotation[image][:, :, 2]
+        rotation = scene.views.rotation
+        view = torch.arange(len(rotation), device=rotation.device) if self.view is None else self.view
+        predicted = -rotation[view][:, :, 2]
         sigma = torch.as_tensor(self.sigma, dtype=predicted.dtype, device=predicted.device).reshape(-1, 1)
         value, jacobian = (predicted - self.down_in_cam) / sigma, -skew(predicted) / sigma[..., None]
-        return Residuals(value, jacobian, layout.pose_columns(image)[:, :3])
+        return Residuals(value, jacobian, layout.pose_columns(view)[:, :3])
 
 
 @dataclass(frozen=True)
 class CenterPrior:
-    """Positions (k, 3) of the centres of `image` (k), as from GNSS; information (k, 3, 3) is the inverse covariance."""
+    """Positions of the centres of `view`, as from GNSS; information is the inverse covariance."""
 
-    image: Tensor
-    position: Tensor
-    information: Tensor
+    view: Int[Tensor, " k"]
+    position: Float[Tensor, "k 3"]
+    information: Float[Tensor, "k 3 3"]
 
-    def residuals(self, state: BundleState, layout: Layout) -> Residuals:
-        error = state.center[self.image] - self.position
-        return _weighed(error, self.information, layout.pose_columns(self.image)[:, 3:])
+    def residuals(self, scene: Scene, layout: Layout) -> Residuals:
+        error = scene.views.center[self.view] - self.position
+        return _weighed(error, self.information, layout.pose_columns(self.view)[:, 3:])
 
 
 @dataclass(frozen=True)
 class HeightPrior:
-    """Heights (k) of the centres of `image` (k) above their water plane, with standard deviations sigma (k)."""
+    """Heights of the centres of `view` above their interfaces, with standard deviations sigma."""
 
-    image: Tensor
-    height: Tensor
-    sigma: Tensor
+    view: Int[Tensor, " k"]
+    height: Float[Tensor, " k"]
+    sigma: Float[Tensor, " k"]
 
-    def residuals(self, state: BundleState, layout: Layout) -> Residuals:
-        which = layout.links.plane[self.image]
-        above, jacobian = _above_plane(state, which, state.center[self.image])
-        columns = torch.cat((layout.pose_columns(self.image)[:, 3:], layout.plane_columns(which)), dim=1)
+    def residuals(self, scene: Scene, layout: Layout) -> Residuals:
+        which = layout.interface[self.view]
+        above, jacobian = _above_plane(scene, which, scene.views.center[self.view])
+        columns = torch.cat((layout.pose_columns(self.view)[:, 3:], layout.plane_columns(which)), dim=1)
         return _scalar(above - self.height, jacobian, columns, self.sigma)
 
 
 @dataclass(frozen=True)
 class KnownPoints:
-    """Known coordinates (k, 3) of `point` (k), as of ground control; information (k, 3, 3)."""
+    """Known coordinates of `point`, as of ground control; information is the inverse covariance."""
 
-    point: Tensor
-    position: Tensor
-    information: Tensor
+    point: Int[Tensor, " k"]
+    position: Float[Tensor, "k 3"]
+    information: Float[Tensor, "k 3 3"]
 
-    def residuals(self, state: BundleState, layout: Layout) -> Residuals:
-        error = state.points[self.point] - self.position
+    def residuals(self, scene: Scene, layout: Layout) -> Residuals:
+        error = scene.points[self.point] - self.position
         return _weighed(error, self.information, layout.point_columns(self.point))
 
 
 @dataclass(frozen=True)
 class ScaleBars:
-    """Measured distances `length` (k) between points first (k) and second (k), standard deviations sigma (k)."""
+    """Measured distances `length` between points first and second, with standard deviations sigma."""
 
-    first: Tensor
-    second: Tensor
-    length: Tensor
-    sigma: Tensor
+    first: Int[Tensor, " k"]
+    second: Int[Tensor, " k"]
+    length: Float[Tensor, " k"]
+    sigma: Float[Tensor, " k"]
 
-    def residuals(self, state: BundleState, layout: Layout) -> Residuals:
-        apart = state.points[self.second] - state.points[self.first]
+    def residuals(self, scene: Scene, layout: Layout) -> Residuals:
+        apart = scene.points[self.second] - scene.points[self.first]
         distance = apart.norm(dim=-1)
         along = apart / distance.clamp(min=torch.finfo(apart.dtype).tiny)[:, None]
         columns = torch.cat((layout.point_columns(self.first), layout.point_columns(self.second)), dim=1)
@@ -109,21 +110,21 @@ class ScaleBars:
 
 @dataclass(frozen=True)
 class Waterline:
-    """Points (k) that lie on the water plane `plane` (k), with standard deviations sigma (k)."""
+    """Points that lie on the interfaces `interface`, with standard deviations sigma."""
 
-    point: Tensor
-    plane: Tensor
-    sigma: Tensor
+    point: Int[Tensor, " k"]
+    interface: Int[Tensor, " k"]
+    sigma: Float[Tensor, " k"]
 
-    def residuals(self, state: BundleState, layout: Layout) -> Residuals:
-        above, jacobian = _above_plane(state, self.plane, state.points[self.point])
-        columns = torch.cat((layout.point_columns(self.point), layout.plane_columns(self.plane)), dim=1)
+    def residuals(self, scene: Scene, layout: Layout) -> Residuals:
+        above, jacobian = _above_plane(scene, self.interface, scene.points[self.point])
+        columns = torch.cat((layout.point_columns(self.point), layout.plane_columns(self.interface)), dim=1)
         return _scalar(above, jacobian, columns, self.sigma)
 
 
 @dataclass(frozen=True)
 class Expectations:
-    """Standard deviations of what the start says of the lens and of the water; None: nothing is known.
+    """Standard deviations of the start's intrinsics and water; None: nothing is known.
 
     focal: relative; principal_point: pixels; distortion: of every coefficient; index_ratio; plane_tilt_deg: degrees;
     plane_height: in the unit of the scene.
@@ -137,7 +138,7 @@ class Expectations:
     plane_height: float | None = None
 
     def sigma_of(self, name: str) -> float | None:
-        """Of a kind of unknown (keys of `rows.LENS` and `layout.WATER_WIDTH`), tilts in radians."""
+        """Of a kind of unknown (keys of `rows.INTRINSICS` and `layout.WATER_WIDTH`), tilts in radians."""
         if name == "plane_tilt":
             return None if self.plane_tilt_deg is None else self.plane_tilt_deg * torch.pi / 180.0
         return self.distortion if name == "radial" else getattr(self, name)
@@ -145,48 +146,50 @@ class Expectations:
 
 @dataclass(frozen=True)
 class GlobalPrior:
-    """One kind of unknown of the lens or the water stays near what `start` says, with standard deviation `sigma`."""
+    """One kind of unknown of the intrinsics or the water stays near what it is in `start`, with standard deviation
+    `sigma`."""
 
     name: str
-    start: BundleState
+    start: Scene
     sigma: float
 
-    def residuals(self, state: BundleState, layout: Layout) -> Residuals:
-        if self.name in LENS:
-            value = self._lens(state) - self._lens(self.start)
-            columns = layout.lens_columns(self.name, torch.arange(layout.num_lenses, device=value.device))
+    def residuals(self, scene: Scene, layout: Layout) -> Residuals:
+        if self.name in INTRINSICS:
+            value = self._intrinsics(scene) - self._intrinsics(self.start)
+            columns = layout.intrinsics_columns(self.name, layout.cameras)
             return self._scaled(value, torch.eye(value.shape[1], dtype=value.dtype, device=value.device), columns)
+        new, old = scene.interfaces, self.start.interfaces
         if self.name == "index_ratio":
-            value = (state.index_ratio - self.start.index_ratio).reshape(1, 1)
+            value = (new.index_ratio[:1] - old.index_ratio[:1])[:, None]
             columns = torch.full((1, 1), layout.index_column(), device=value.device)
             return self._scaled(value, torch.ones_like(value), columns)
-        columns = layout.plane_columns(torch.arange(layout.num_planes, device=state.center.device))
+        columns = layout.plane_columns(layout.interfaces)
         if self.name == "plane_height":
-            value = (state.planes[1] - self.start.planes[1])[:, None]
+            value = (new.offset - old.offset)[:, None]
             return self._scaled(value, torch.ones_like(value)[..., None], columns[:, 2:])
-        first0, second0 = Plane(*self.start.planes, check=False).tangents_like(state.center)
-        first, second = Plane(*state.planes, check=False).tangents_like(state.center)
-        normal = state.planes[0]
-        value = torch.stack((-(second0 * normal).sum(-1), (first0 * normal).sum(-1)), dim=-1)
+        first0, second0 = old.planes.tangents_like(scene.views.center)
+        first, second = new.planes.tangents_like(scene.views.center)
+        value = torch.stack((-(second0 * new.normal).sum(-1), (first0 * new.normal).sum(-1)), dim=-1)
         by_first = torch.stack(((second0 * second).sum(-1), -(first0 * second).sum(-1)), dim=-1)
         by_second = torch.stack((-(second0 * first).sum(-1), (first0 * first).sum(-1)), dim=-1)
         return self._scaled(value, torch.stack((by_first, by_second), dim=-1), columns[:, :2])
 
-    def _lens(self, state: BundleState) -> Tensor:
-        lens = state.lens
+    def _intrinsics(self, scene: Scene) -> Float[Tensor, "g width"]:
         if self.name == "focal":
-            return lens.focal.reshape(-1, 2)[:, :1].log()
+            return scene.cameras.focal[:, :1].log()
         if self.name == "principal_point":
-            return lens.principal_point.reshape(-1, 2)
-        return lens.distortion.reshape(-1, 5)[:, : LENS[self.name].width]
+            return scene.cameras.principal_point
+        return scene.cameras.distortion[:, : INTRINSICS[self.name].width]
 
-    def _scaled(self, value: Tensor, jacobian: Tensor, columns: Tensor) -> Residuals:
+    def _scaled(
+        self, value: Float[Tensor, "k numbers"], jacobian: Float[Tensor, "*#k width"], columns: Int[Tensor, "k width"]
+    ) -> Residuals:
         jacobian = jacobian.expand(len(value), value.shape[1], -1)
         return Residuals(value / self.sigma, jacobian / self.sigma, columns)
 
 
-def concerned_points(terms: Sequence[Term], num_points: int, like: Tensor) -> Tensor | None:
-    """Mask (n) of the points that measurements of their own concern; None where there are none."""
+def concerned_points(terms: Sequence[Term], points: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"] | None:
+    """Mask of the points that measurements of their own concern; None where there are none."""
     parts = []
     for term in terms:
         if isinstance(term, KnownPoints | Waterline):
@@ -195,29 +198,34 @@ def concerned_points(terms: Sequence[Term], num_points: int, like: Tensor) -> Te
             parts += [term.first, term.second]
     if not parts:
         return None
-    mask = torch.zeros(num_points, dtype=torch.bool, device=like.device)
+    mask = torch.zeros(len(points), dtype=torch.bool, device=points.device)
     mask[torch.cat(parts)] = True
     return mask
 
 
-def _above_plane(state: BundleState, which: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
-    """Heights (k) of positions (k, 3) above planes `which` (k), and their derivatives (k, 6) in the position and in the
-    tilts and the height of the plane (see `Plane.moved`)."""
-    normal, offset = (value[which] for value in state.planes)
+def _above_plane(
+    scene: Scene, which: Int[Tensor, " k"], position: Float[Tensor, "k 3"]
+) -> tuple[Float[Tensor, " k"], Float[Tensor, "k 6"]]:
+    """Heights of positions above interfaces `which`, and their derivatives in the position and in the tilts and the
+    height of the plane (see `Plane.moved`)."""
+    normal, offset = scene.interfaces.normal[which], scene.interfaces.offset[which]
     first, second = Plane(normal, offset, check=False).tangents_like(position)
     by_plane = torch.stack((-(second * position).sum(-1), (first * position).sum(-1), -torch.ones_like(offset)), dim=-1)
     return (normal * position).sum(-1) - offset, torch.cat((normal, by_plane), dim=1)
 
 
-def _scalar(value: Tensor, jacobian: Tensor, columns: Tensor, sigma: Tensor) -> Residuals:
+def _scalar(
+    value: Float[Tensor, " k"],
+    jacobian: Float[Tensor, "k width"],
+    columns: Int[Tensor, "k width"],
+    sigma: Float[Tensor, " k"],
+) -> Residuals:
     return Residuals((value / sigma)[:, None], (jacobian / sigma[:, None])[:, None], columns)
 
 
-def _weighed(error: Tensor, information: Tensor, columns: Tensor) -> Residuals:
-    """Of errors (k, 3) with inverse covariances W^T W = information (k, 3, 3)."""
+def _weighed(
+    error: Float[Tensor, "k 3"], information: Float[Tensor, "k 3 3"], columns: Int[Tensor, "k 3"]
+) -> Residuals:
+    """Of errors with inverse covariances W^T W = information."""
     root = torch.linalg.cholesky_ex(information)[0].mT
     return Residuals((root @ error[..., None])[..., 0], root, columns)
-
-
-def _all_or(image: Tensor | None, like: Tensor) -> Tensor:
-    return torch.arange(len(like), device=like.device) if image is None else image

@@ -33,7 +33,9 @@ class Interfaces:
 
     @cached_property
     def is_level(self) -> bool:
-        """Whether there is one surface, the plane z = 0."""
+        """Whether there is one surface, the plane z = 0, of which nobody wants derivatives."""
+        if self.normal.requires_grad or self.offset.requires_grad:
+            return False
         return self.normal.tolist() == [[0.0, 0.0, 1.0]] and self.offset.tolist() == [0.0]
 
     @property

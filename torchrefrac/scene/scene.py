@@ -193,6 +193,18 @@ class Scene:
         """How many accepted observations each view has."""
         return torch.bincount(self.observations.view[self.accepted], minlength=len(self.views))
 
+    def detached(self) -> "Scene":
+        """The same without a graph."""
+        pose = Rigid(self.views.rotation.detach(), self.views.center.detach())
+        return replace(
+            self,
+            cameras=self.cameras.detached(),
+            views=replace(self.views, pose=pose),
+            interfaces=self.interfaces.detached(),
+            points=self.points.detach(),
+            observations=self.observations.detached(),
+        )
+
     def part(self, min_observations: int = 1) -> Part:
         """Registered views, the points with so many accepted observations, and these observations."""
         rows = self.accepted & self.placed[self.observations.point]
