@@ -10,10 +10,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchrefrac.bundle import BundleOptions, GravityPrior
 from torchrefrac.features import Features, PairMatches
 from torchrefrac.geometry import so3_exp
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.scene import Cameras, Capture, Interfaces, Observations, Scene
+from torchrefrac.scene import Cameras, Capture, Interfaces, Observations, Part, Scene
+from torchrefrac.sfm import Rules
 
 
 @dataclass(frozen=True)
@@ -115,5 +117,22 @@ def survey_of(make_basin, draw, tmp_path) -> Callable[..., Survey]:
         colors = torch.stack((number % 256, number // 256, 0 * number), dim=-1).to(torch.uint8)
         seen = Observations(image, track, torch.where(wrong[:, None], anywhere, observed))
         return Survey(basin, capture, seen, colors, wrong)
+
+    return make
+
+
+@pytest.fixture
+def rules_of() -> Callable[..., Rules]:
+    """`rules_of(survey, bundle)`: with the gravity of a survey where there is refraction, as a reconstruction has it."""
+
+    def make(survey: Survey, bundle: BundleOptions) -> Rules:
+        capture = survey.capture
+
+        def gravity(part: Part) -> list[GravityPrior]:
+            if survey.basin.index_ratio == 1.0:
+                return []
+            return [GravityPrior(capture.down_in_cam[part.view], capture.down_sigma)]
+
+        return Rules(bundle=bundle, measurements=gravity)
 
     return make
