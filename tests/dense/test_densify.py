@@ -200,7 +200,7 @@ def test_an_image_without_a_pose_takes_no_part(slope, tmp_path):
 
 def test_without_sparse_points_it_says_that_they_are_missing(slope, tmp_path):
     scene = sparse_scene(slope)
-    bare = replace(scene, points=scene.points[:0], colors=scene.colors[:0], observations=scene.observations[:0])
+    bare = replace(scene, accepted=torch.zeros_like(scene.accepted)).trimmed()
 
     with pytest.raises(DenseError, match="no sparse points, which say where to look; run the sparse"):
         densify(bare, write_capture(slope, tmp_path), OPTIONS["patch"])

@@ -8,7 +8,7 @@ import torch
 
 from tests.dense.planted_patches import patches_at, patches_shown
 from tests.dense.rendered_scenes import Board, cameras_around, marble, render
-from torchrefrac.dense.filtering import _votes, supported, unobstructing
+from torchrefrac.dense.filtering import supported, unobstructing, votes
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.rays import PixelRays
 
@@ -201,11 +201,11 @@ def test_votes_are_those_of_the_others_in_the_same_cell(draw, generator, count, 
     thickness = draw.uniform(0.0, 0.3 * (high - low), count)
     weight = draw.uniform(0.0, 1.0, count)
 
-    beyond, same = _votes(cells, depth, thickness, weight)
+    beyond, same = votes(cells, depth, thickness, weight)
 
     apart = depth.numpy()[None] - depth.numpy()[:, None]
     others = (cells.numpy()[None] == cells.numpy()[:, None]) & ~np.eye(count, dtype=bool)
     limit = thickness.numpy()[:, None]
-    for votes, counted in ((beyond, apart > limit), (same, np.abs(apart) <= limit)):
+    for found, counted in ((beyond, apart > limit), (same, np.abs(apart) <= limit)):
         expected = (np.where(others & counted, weight.numpy()[None], 0.0)).sum(axis=1)
-        np.testing.assert_allclose(votes.numpy(), expected, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(found.numpy(), expected, rtol=0.0, atol=1e-9)

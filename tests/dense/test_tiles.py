@@ -11,7 +11,7 @@ from torchrefrac.dense import DenseOptions, densify
 from torchrefrac.dense.images import Images
 from torchrefrac.dense.neighbours import Neighbourhood
 from torchrefrac.dense.rays import PixelRays
-from torchrefrac.dense.tiles import _tiles, scopes
+from torchrefrac.dense.tiles import scopes, tile_boxes
 
 OPTIONS = DenseOptions(method="patch")
 SMALL = replace(OPTIONS, max_tile=81)
@@ -41,7 +41,7 @@ def test_every_cell_lies_in_a_tile_of_whole_cells(cell, width, height, tile):
     options = DenseOptions(cell=cell, max_tile=tile)
     covered = torch.zeros(height // cell, width // cell, dtype=torch.long)
 
-    boxes = list(_tiles(width, height, options))
+    boxes = list(tile_boxes(width, height, options))
 
     for left, top, right, bottom in boxes:
         assert left % cell == top % cell == 0

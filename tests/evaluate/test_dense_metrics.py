@@ -180,7 +180,9 @@ def test_beside_a_mesh_its_parts_count_and_planes_only_by_what_is_nearest_to_the
     cloud = _cloud(torch.cat((on_floor, on_lid.double())))
 
     found = evaluate_dense(cloud, whole, IDENTITY, None)
-    without = evaluate_dense(cloud, replace(whole, corner=truth.corner[:0]), IDENTITY, None)
+    without = evaluate_dense(
+        cloud, replace(whole, corner=truth.corner[:0], edge1=truth.edge1[:0], edge2=truth.edge2[:0]), IDENTITY, None
+    )
 
     assert found["dense_accuracy_within_0.1_cm"] == pytest.approx(2 / 3)
     assert found["dense_surface_p95_cm"] == pytest.approx(0.3)

@@ -13,10 +13,10 @@ from torchrefrac.evaluate.point_errors import TruePlaces, flatness, segment_medi
 from torchrefrac.evaluate.true_surface import TrueSurface
 from torchrefrac.files.library import embedded_scene
 from torchrefrac.files.truth import load_truth
-from torchrefrac.geometry import Similarity, heading_rotation, so3_exp
+from torchrefrac.geometry import Rigid, Similarity, heading_rotation, so3_exp
 from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.scene import Reconstruction, Truth
+from torchrefrac.scene import Cameras, Interfaces, Observations, Scene, Truth
 
 DOUBLE = torch.float64
 RADIUS = 40.0
@@ -46,37 +46,30 @@ def perfect(truth: Truth):
     unhidden = ((seen.points.view(len(cameras.center_in_world), -1, 3) - points).norm(dim=-1) < 1e-6) & visible
     kept = unhidden.sum(dim=0) >= 3
     points, pixels, unhidden = points[kept], pixels[:, kept], unhidden[:, kept]
-    point, image = unhidden.mT.nonzero().unbind(dim=-1)
-    return Reconstruction(
+    point, view = unhidden.mT.nonzero().unbind(dim=-1)
+    return Scene.create(
+        Rigid(truth.rotation, truth.center),
+        truth.intrinsics,
+        Interfaces.level(truth.index_ratio),
+        points,
+        Observations(view, point, pixels[view, point]),
         names=truth.names,
-        registered=torch.ones(len(truth.names), dtype=torch.bool),
-        rotation=truth.rotation,
-        center=truth.center,
-        intrinsics=truth.intrinsics,
-        index_ratio=truth.index_ratio,
         length_unit="cm",
-        points=points,
-        colors=torch.zeros(len(points), 3, dtype=torch.uint8),
-        image=image,
-        point=point,
-        pixels=pixels[image, point],
     )
 
 
-def moved(reconstruction, change):
-    return replace(
-        reconstruction,
-        rotation=change.apply_to_rotation(reconstruction.rotation),
-        center=change.apply(reconstruction.center),
-        points=change.apply(reconstruction.points),
-    )
+def moved(scene, change):
+    views = scene.views.at(change.apply_to_rotation(scene.views.rotation), change.apply(scene.views.center))
+    return replace(scene, views=views, points=change.apply(scene.points))
 
 
-def in_another_frame(reconstruction):
+def seen_at(scene, pixels):
+    return replace(scene, observations=replace(scene.observations, pixels=pixels))
+
+
+def in_another_frame(scene):
     """In a frame of another scale, heading and place along the water."""
-    return moved(
-        reconstruction, Similarity(vector(0.3).squeeze(), heading_rotation(vector(1.1)[0]), vector(3.0, -7.0, 0.0))
-    )
+    return moved(scene, Similarity(vector(0.3).squeeze(), heading_rotation(vector(1.1)[0]), vector(3.0, -7.0, 0.0)))
 
 
 def on_a_disc(count):
@@ -114,7 +107,7 @@ def test_points_beside_their_places_are_in_error_even_on_the_right_plane(perfect
 def test_a_similarity_is_no_error_without_refraction(perfect, truth):
     change = Similarity(vector(2.0).squeeze(), so3_exp(vector(0.4, -0.2, 1.0)), vector(1.0, 2.0, 3.0))
 
-    found, _ = evaluate(replace(moved(perfect, change), index_ratio=1.0), truth)
+    found, _ = evaluate(replace(moved(perfect, change), interfaces=Interfaces.level(1.0)), truth)
 
     assert found["alignment"] == "similarity"
     assert found["point_rms_cm"] == pytest.approx(0.0, abs=1e-5)
@@ -133,30 +126,26 @@ def test_the_worst_twentieth_does_not_count_in_the_rms(perfect, truth):
 
 
 def test_a_wrong_match_among_three_does_not_move_the_true_place(perfect, truth):
-    first = torch.cat((torch.ones(1, dtype=torch.bool), perfect.point[1:] != perfect.point[:-1]))
-    pixels = torch.where(first[:, None], perfect.pixels * 0.9 + 30.0, perfect.pixels)
+    seen = perfect.observations
+    first = torch.cat((torch.ones(1, dtype=torch.bool), seen.point[1:] != seen.point[:-1]))
+    pixels = torch.where(first[:, None], seen.pixels * 0.9 + 30.0, seen.pixels)
 
-    places = true_places(replace(perfect, pixels=pixels), TrueSurface(truth))
+    places = true_places(seen_at(perfect, pixels), TrueSurface(truth))
 
-    cast = TrueSurface(truth).cast(perfect.cameras[perfect.image], pixels)
-    assert ((cast.points - perfect.points[perfect.point]).norm(dim=-1)[first] > 1.0).double().mean() > 0.9
+    cast = TrueSurface(truth).cast(perfect.camera_of(seen.view), pixels)
+    assert ((cast.points - perfect.points[seen.point]).norm(dim=-1)[first] > 1.0).double().mean() > 0.9
     torch.testing.assert_close(places.points, perfect.points, rtol=0.0, atol=1e-6)
 
 
 def test_a_mismatch_of_two_images_is_an_error(perfect, truth):
     """The pixels of two points, which lie apart, as the observations of one."""
     a, b = 0, len(truth.names) - 1
-    of_a, of_b = perfect.point[perfect.image == a], perfect.point[perfect.image == b]
+    seen = perfect.observations
+    of_a, of_b = seen.point[seen.view == a], seen.point[seen.view == b]
     first, second = int(of_a[0]), int(of_b[of_b != of_a[0]][-1])
-    rows = [int(((perfect.point == p) & (perfect.image == i)).nonzero()[0]) for p, i in ((first, a), (second, b))]
-    pair = replace(
-        perfect,
-        points=perfect.points[first][None],
-        colors=perfect.colors[:1],
-        image=perfect.image[rows],
-        point=torch.zeros(2, dtype=torch.long),
-        pixels=perfect.pixels[rows],
-    )
+    rows = [int(((seen.point == p) & (seen.view == i)).nonzero()[0]) for p, i in ((first, a), (second, b))]
+    one = Observations(seen.view[rows], torch.zeros(2, dtype=torch.long), seen.pixels[rows])
+    pair = perfect.with_points(perfect.points[first][None], perfect.colors[:1], one)
 
     found, _ = evaluate(pair, truth)
 
@@ -165,8 +154,9 @@ def test_a_mismatch_of_two_images_is_an_error(perfect, truth):
     assert "flatness_cm" not in found
 
 
-def test_the_true_lens_says_where_points_are_not_the_estimated_one(perfect, truth):
-    bent = replace(perfect, intrinsics=Intrinsics.create(640, 480, 390.0, distortion=(0.1, 0.0, 0.0, 0.0, 0.0)))
+def test_the_true_intrinsics_say_where_points_are_not_the_estimated_ones(perfect, truth):
+    wrong = Intrinsics.create(640, 480, 390.0, distortion=(0.1, 0.0, 0.0, 0.0, 0.0))
+    bent = replace(perfect, cameras=Cameras.of([wrong]))
 
     found, _ = evaluate(bent, truth)
 
@@ -174,20 +164,19 @@ def test_the_true_lens_says_where_points_are_not_the_estimated_one(perfect, trut
 
 
 def test_only_registered_images_with_a_true_pose_take_part(perfect, truth):
-    registered = perfect.registered.clone()
+    seen, registered = perfect.observations, perfect.views.registered.clone()
     registered[2] = False
-    names = ("unknown", *truth.names[1:])
-    pixels = torch.where((perfect.image == 0)[:, None] | (perfect.image == 2)[:, None], 1.0, perfect.pixels)
-    fewer = replace(perfect, names=names, registered=registered, pixels=pixels)
+    views = replace(perfect.views, names=("unknown", *truth.names[1:]), registered=registered)
+    pixels = torch.where((seen.view == 0)[:, None] | (seen.view == 2)[:, None], 1.0, seen.pixels)
 
-    places = true_places(fewer, TrueSurface(truth))
+    places = true_places(replace(seen_at(perfect, pixels), views=views), TrueSurface(truth))
 
-    takes_part = (perfect.image != 0) & (perfect.image != 2)
-    assert torch.equal(places.known, torch.bincount(perfect.point[takes_part], minlength=len(perfect.points)) > 0)
+    takes_part = (seen.view != 0) & (seen.view != 2)
+    assert torch.equal(places.known, torch.bincount(seen.point[takes_part], minlength=len(perfect.points)) > 0)
     torch.testing.assert_close(places.points[places.known], perfect.points[places.known], rtol=0.0, atol=1e-6)
 
 
-def test_without_a_true_index_or_lens_there_are_no_errors_of_points(perfect, truth):
+def test_without_a_true_index_or_intrinsics_there_are_no_errors_of_points(perfect, truth):
     other = Intrinsics.create(320, 240, 200.0)
     for less in (
         replace(truth, index_ratio=None),
@@ -201,15 +190,8 @@ def test_without_a_true_index_or_lens_there_are_no_errors_of_points(perfect, tru
         assert ("true_index_ratio" in found) == (less.index_ratio is not None)
 
 
-def test_a_reconstruction_without_points_has_errors_of_cameras_only(perfect, truth):
-    none = replace(
-        perfect,
-        points=perfect.points[:0],
-        colors=perfect.colors[:0],
-        image=perfect.image[:0],
-        point=perfect.point[:0],
-        pixels=perfect.pixels[:0],
-    )
+def test_a_scene_without_points_has_errors_of_cameras_only(perfect, truth):
+    none = perfect.with_points(perfect.points[:0], perfect.colors[:0])
 
     found, alignment = evaluate(none, truth)
 
@@ -267,7 +249,7 @@ def test_a_bend_of_the_whole_tank_shows_in_its_planes(perfect, truth):
     bent = perfect.points + 1e-4 * perfect.points[:, :2].square().sum(dim=-1, keepdim=True) * vector(0.0, 0.0, 1.0)
     tilted = so3_exp(vector(0.02, -0.01, 0.0))
     frame = Similarity(vector(1.0).squeeze(), tilted, vector(0.0, 0.0, 0.0))
-    bent = replace(moved(replace(perfect, points=bent), frame), index_ratio=1.0)
+    bent = replace(moved(replace(perfect, points=bent), frame), interfaces=Interfaces.level(1.0))
 
     found, _ = evaluate(bent, truth)
 

@@ -11,8 +11,8 @@ from torchrefrac.evaluate.metrics import evaluate, summarize
 from torchrefrac.evaluate.true_surface import distance_to_rectangles
 from torchrefrac.files.library import embedded_scene
 from torchrefrac.files.truth import load_truth
-from torchrefrac.geometry import Similarity, heading_rotation, so3_exp
-from torchrefrac.scene import Assessment, Reconstruction, Truth
+from torchrefrac.geometry import Rigid, Similarity, heading_rotation, so3_exp
+from torchrefrac.scene import Assessment, Interfaces, Observations, Scene, Truth
 
 DOUBLE = torch.float64
 
@@ -24,34 +24,26 @@ def truth():
 
 @pytest.fixture
 def perfect(truth: Truth):
-    """The reconstruction that is the truth, with points on the true surfaces."""
+    """The scene that is the truth, with points on the true surfaces."""
     s = torch.linspace(0.1, 0.9, 5, dtype=DOUBLE)
     grid = torch.cartesian_prod(s, s)
     points = truth.corner[:, None] + grid[:, :1] * truth.edge1[:, None] + grid[:, 1:] * truth.edge2[:, None]
     points = points.flatten(0, 1)
-    empty = torch.zeros(0, dtype=torch.long)
-    return Reconstruction(
-        names=truth.names,
-        registered=torch.ones(len(truth.names), dtype=torch.bool),
-        rotation=truth.rotation,
-        center=truth.center,
-        intrinsics=Intrinsics.create(640, 480, 417.0),
-        index_ratio=1.33,
-        length_unit="cm",
-        points=points,
-        colors=torch.zeros(len(points), 3, dtype=torch.uint8),
-        image=empty,
-        point=empty,
-        pixels=torch.zeros(0, 2, dtype=DOUBLE),
-    )
+    pose, water = Rigid(truth.rotation, truth.center), Interfaces.level(1.33)
+    intrinsics = Intrinsics.create(640, 480, 417.0)
+    return Scene.create(pose, intrinsics, water, points, Observations.none(), names=truth.names, length_unit="cm")
 
 
-def _moved(reconstruction, change):
+def _moved(scene, change):
+    views = scene.views.at(change.apply_to_rotation(scene.views.rotation), change.apply(scene.views.center))
+    return replace(scene, views=views, points=change.apply(scene.points))
+
+
+def _with_views(scene, registered=None, center=None):
+    views = scene.views
+    pose = Rigid(views.rotation, views.center if center is None else center)
     return replace(
-        reconstruction,
-        rotation=change.apply_to_rotation(reconstruction.rotation),
-        center=change.apply(reconstruction.center),
-        points=change.apply(reconstruction.points),
+        scene, views=replace(views, pose=pose, registered=views.registered if registered is None else registered)
     )
 
 
@@ -79,32 +71,32 @@ def test_a_tilted_refractive_frame_is_an_error(perfect, truth):
 
 
 def test_a_tilted_frame_without_refraction_is_none(perfect, truth):
-    found, _ = evaluate(replace(_moved(perfect, _tilt()), index_ratio=1.0), truth)
+    found, _ = evaluate(replace(_moved(perfect, _tilt()), interfaces=Interfaces.level(1.0)), truth)
     assert found["alignment"] == "similarity"
     assert found["camera_rms_cm"] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_one_displaced_camera_is_measured(perfect, truth):
-    center = perfect.center.clone()
+    center = perfect.views.center.clone()
     center[0, 2] += 0.8
-    found, alignment = evaluate(replace(perfect, center=center), truth)
+    found, alignment = evaluate(_with_views(perfect, center=center), truth)
     distance = (alignment.apply(center) - truth.center).norm(dim=-1)
     assert found["camera_rms_cm"] == pytest.approx(float(distance.square().mean().sqrt()))
     assert 0.2 < found["camera_rms_cm"] <= 0.8 / 8**0.5 + 1e-9
 
 
 def test_unregistered_images_take_no_part(perfect, truth):
-    registered, center = perfect.registered.clone(), perfect.center.clone()
+    registered, center = perfect.views.registered.clone(), perfect.views.center.clone()
     registered[3], center[3] = False, 1e6
-    found, _ = evaluate(replace(perfect, registered=registered, center=center), truth)
+    found, _ = evaluate(_with_views(perfect, registered, center), truth)
     assert found["camera_rms_cm"] == pytest.approx(0.0, abs=1e-9)
-    assert summarize(replace(perfect, registered=registered))["registered_images"] == 7
+    assert summarize(_with_views(perfect, registered))["registered_images"] == 7
 
 
 def test_too_few_cameras_give_no_figures(perfect, truth):
-    registered = torch.zeros_like(perfect.registered)
+    registered = torch.zeros_like(perfect.views.registered)
     registered[0] = True
-    found, alignment = evaluate(replace(perfect, registered=registered), truth)
+    found, alignment = evaluate(_with_views(perfect, registered), truth)
     assert found == {"true_index_ratio": 1.33, "alignment": "none: too few registered cameras"}
     assert alignment is None
 
@@ -123,7 +115,7 @@ def test_what_is_known_of_the_errors_is_in_the_summary_with_its_units(perfect):
         center_sigma=10.0 * sigma,
         index_ratio_sigma=0.002,
         determined=("index ratio: determined to 0.002", "scale, relative: not determined"),
-        held={"focal": "focal length, relative: not determined"},
+        fixed={"focal": "focal length, relative: not determined"},
     )
 
     found = summarize(replace(perfect, assessment=known))
@@ -137,10 +129,10 @@ def test_what_is_known_of_the_errors_is_in_the_summary_with_its_units(perfect):
     assert json.loads(json.dumps(found)) == found
 
 
-def test_where_nothing_is_known_of_the_errors_nothing_is_said(perfect):
-    said = {"pixel_sigma_px", "point_sigma_median_cm", "camera_sigma_median_cm", "index_ratio_sigma"}
-    said |= {"determined", "held"}
+def test_where_nothing_is_known_of_the_errors_the_summary_has_nothing(perfect):
+    keys = {"pixel_sigma_px", "point_sigma_median_cm", "camera_sigma_median_cm", "index_ratio_sigma"}
+    keys |= {"determined", "held"}
 
-    assert not said & set(summarize(perfect))
+    assert not keys & set(summarize(perfect))
     none = torch.zeros(0, dtype=DOUBLE)
-    assert not said & set(summarize(replace(perfect, assessment=Assessment(point_sigma=none, center_sigma=none))))
+    assert not keys & set(summarize(replace(perfect, assessment=Assessment(point_sigma=none, center_sigma=none))))

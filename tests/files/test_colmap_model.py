@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tests.files.alignments import BENT, PLAIN, assert_same, assert_same_lens, two_lens_alignment
+from tests.files.two_cameras import BENT, PLAIN, assert_same, assert_same_intrinsics, two_camera_scene
 from torchrefrac.camera import Intrinsics
 from torchrefrac.files.colmap.model import read_colmap, write_colmap
-from torchrefrac.scene.alignment import AlignmentError
+from torchrefrac.scene import Cameras, SceneError
 
 CAMERAS = """# a comment
 12 RADIAL 640 480 500 320 240 0.1 -0.02
@@ -44,28 +44,32 @@ def write_by_hand(tmp_path):
 
 
 @pytest.fixture
-def alignment(draw):
-    return two_lens_alignment(draw)
+def scene(draw):
+    return two_camera_scene(draw)
+
+
+def named(scene, *names):
+    return replace(scene, views=replace(scene.views, names=names))
 
 
 def test_a_model_written_by_hand_means_what_the_format_says(write_by_hand):
-    alignment = read_colmap(write_by_hand())
+    scene = read_colmap(write_by_hand())
 
-    assert alignment.names == ("a/first.jpg", "second image.jpg")
-    assert alignment.length_unit == "unit"
-    assert len(alignment.lenses) == 2
-    assert_same_lens(alignment.lenses[0], Intrinsics.create(800, 600, (700.0, 710.0), (400.0, 300.0)))
-    assert_same_lens(alignment.lenses[1], Intrinsics.create(640, 480, 500.0, (320.0, 240.0), (0.1, -0.02, 0, 0, 0)))
-    assert alignment.lens.tolist() == [1, 0]
+    assert scene.views.names == ("a/first.jpg", "second image.jpg")
+    assert scene.length_unit == "unit"
+    assert len(scene.cameras) == 2
+    assert_same_intrinsics(scene.cameras[0], Intrinsics.create(800, 600, (700.0, 710.0), (400.0, 300.0)))
+    assert_same_intrinsics(scene.cameras[1], Intrinsics.create(640, 480, 500.0, (320.0, 240.0), (0.1, -0.02, 0, 0, 0)))
+    assert scene.views.camera.tolist() == [1, 0]
     quarter = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
-    torch.testing.assert_close(alignment.rotation[0], quarter)
-    assert torch.equal(alignment.rotation[1], torch.eye(3, dtype=torch.float64))
-    torch.testing.assert_close(alignment.center, torch.tensor([[-2.0, 1, -3], [1, 2, 3]], dtype=torch.float64))
-    assert alignment.points.tolist() == [[-1.0, -2.0, -3.5], [1.0, 2.0, 3.0]]
-    assert alignment.colors.tolist() == [[40, 50, 60], [10, 20, 30]]
-    assert alignment.image.tolist() == [1, 0, 0, 1]
-    assert alignment.point.tolist() == [0, 0, 1, 1]
-    assert alignment.pixels.tolist() == [[30.5, 40.5], [1.25, 2.5], [3.5, 4.5], [10.5, 20.5]]
+    torch.testing.assert_close(scene.views.rotation[0], quarter)
+    assert torch.equal(scene.views.rotation[1], torch.eye(3, dtype=torch.float64))
+    torch.testing.assert_close(scene.views.center, torch.tensor([[-2.0, 1, -3], [1, 2, 3]], dtype=torch.float64))
+    assert scene.points.tolist() == [[-1.0, -2.0, -3.5], [1.0, 2.0, 3.0]]
+    assert scene.colors.tolist() == [[40, 50, 60], [10, 20, 30]]
+    assert scene.observations.view.tolist() == [1, 0, 0, 1]
+    assert scene.observations.point.tolist() == [0, 0, 1, 1]
+    assert scene.observations.pixels.tolist() == [[30.5, 40.5], [1.25, 2.5], [3.5, 4.5], [10.5, 20.5]]
 
 
 @pytest.mark.parametrize(
@@ -84,12 +88,13 @@ def test_a_model_written_by_hand_means_what_the_format_says(write_by_hand):
         ),
     ],
 )
-def test_each_camera_model_becomes_its_lens(write_by_hand, line, focal, principal, distortion):
+def test_each_camera_model_becomes_its_intrinsics(write_by_hand, line, focal, principal, distortion):
     images = IMAGES.replace(" 12 ", " 7 ")
 
-    (lens,) = read_colmap(write_by_hand(cameras=f"7 {line}\n", images=images)).lenses
+    scene = read_colmap(write_by_hand(cameras=f"7 {line}\n", images=images))
 
-    assert_same_lens(lens, Intrinsics.create(640, 480, focal, principal, distortion))
+    assert len(scene.cameras) == 1
+    assert_same_intrinsics(scene.cameras[0], Intrinsics.create(640, 480, focal, principal, distortion))
 
 
 @pytest.mark.parametrize(
@@ -100,81 +105,74 @@ def test_each_camera_model_becomes_its_lens(write_by_hand, line, focal, principa
         ((0.1, 0, 0, 0, 0.5), "FULL_OPENCV 640 480 500.0 501.0 321.5 239.25 0.1 0.0 0.0 0.0 0.5 0.0 0.0 0.0"),
     ],
 )
-def test_a_lens_is_written_as_the_smallest_model_that_holds_it(tmp_path, alignment, distortion, model):
-    lens = replace(PLAIN, distortion=torch.tensor(distortion, dtype=torch.float64))
+def test_intrinsics_are_written_as_the_smallest_model_that_holds_it(tmp_path, scene, distortion, model):
+    intrinsics = replace(PLAIN, distortion=torch.tensor(distortion, dtype=torch.float64))
 
-    write_colmap(replace(alignment, lenses=(lens, BENT)), tmp_path)
+    write_colmap(replace(scene, cameras=Cameras.of((intrinsics, BENT))), tmp_path)
 
     assert (tmp_path / "cameras.txt").read_text().splitlines()[1] == f"1 {model}"
 
 
 @pytest.mark.parametrize("binary", [True, False], ids=["binary", "text"])
-def test_an_alignment_survives_the_files(tmp_path, alignment, binary):
-    write_colmap(alignment, tmp_path, binary=binary)
+def test_a_scene_survives_the_files(tmp_path, scene, binary):
+    write_colmap(scene, tmp_path, binary=binary)
 
-    assert_same(read_colmap(tmp_path), alignment, poses_exact=False)
+    assert_same(read_colmap(tmp_path), scene, poses_exact=False)
 
 
-def test_text_and_binary_files_read_the_same_to_the_last_bit(tmp_path, alignment):
-    write_colmap(alignment, tmp_path / "text")
-    write_colmap(alignment, tmp_path / "binary", binary=True)
+def test_text_and_binary_files_read_the_same_to_the_last_bit(tmp_path, scene):
+    write_colmap(scene, tmp_path / "text")
+    write_colmap(scene, tmp_path / "binary", binary=True)
 
     assert_same(read_colmap(tmp_path / "text"), read_colmap(tmp_path / "binary"))
 
 
 @pytest.mark.parametrize("binary", [True, False], ids=["binary", "text"])
-def test_images_without_points_survive_the_files(tmp_path, alignment, binary):
-    bare = replace(
-        alignment,
-        points=alignment.points[:0],
-        colors=alignment.colors[:0],
-        image=alignment.image[:0],
-        point=alignment.point[:0],
-        pixels=alignment.pixels[:0],
-    )
+def test_images_without_points_survive_the_files(tmp_path, scene, binary):
+    bare = scene.with_points(scene.points[:0], scene.colors[:0])
 
     write_colmap(bare, tmp_path, binary=binary)
 
     assert_same(read_colmap(tmp_path), bare, poses_exact=False)
 
 
-def test_no_image_at_all_is_an_alignment_too(write_by_hand):
-    assert len(read_colmap(write_by_hand("", "", ""))) == 0
+def test_no_image_at_all_is_a_scene_too(write_by_hand):
+    assert len(read_colmap(write_by_hand("", "", "")).views) == 0
 
 
-def test_a_name_beyond_ascii_survives_both_kinds_of_file(tmp_path, alignment):
-    alignment = replace(alignment, names=("Küste.jpg", "海/1.jpg", "c", "d", "e"))
+def test_a_name_beyond_ascii_survives_both_kinds_of_file(tmp_path, scene):
+    scene = named(scene, "Küste.jpg", "海/1.jpg", "c", "d", "e")
 
     for binary in (True, False):
-        write_colmap(alignment, tmp_path / str(binary), binary=binary)
-        assert read_colmap(tmp_path / str(binary)).names == alignment.names
+        write_colmap(scene, tmp_path / str(binary), binary=binary)
+        assert read_colmap(tmp_path / str(binary)).views.names == scene.views.names
 
 
 def test_observations_of_a_point_twice_in_an_image_and_lone_points_are_dropped(write_by_hand):
     images = IMAGES.replace("30.5 40.5 6", "30.5 40.5 500")
     points = "500 1 2 3 10 20 30 0.5 30 1 2 2 30 0\n6 -1 -2 -3.5 40 50 60 -1 2 0\n"
 
-    alignment = read_colmap(write_by_hand(images=images, points=points))
+    scene = read_colmap(write_by_hand(images=images, points=points))
 
-    assert alignment.points.tolist() == [[1, 2, 3]]
-    assert (alignment.image.tolist(), alignment.point.tolist()) == ([1, 0], [0, 0])
-    assert alignment.pixels.tolist() == [[30.5, 40.5], [3.5, 4.5]]
+    assert scene.points.tolist() == [[1, 2, 3]]
+    assert (scene.observations.view.tolist(), scene.observations.point.tolist()) == ([1, 0], [0, 0])
+    assert scene.observations.pixels.tolist() == [[30.5, 40.5], [3.5, 4.5]]
 
 
 @pytest.mark.parametrize("folder", [".", "sparse", "sparse/0"])
 def test_the_model_is_found_where_colmap_leaves_it(write_by_hand, folder):
-    assert len(read_colmap(write_by_hand(folder=folder))) == 2
+    assert len(read_colmap(write_by_hand(folder=folder)).views) == 2
 
 
-def test_binary_files_go_before_text_files(tmp_path, write_by_hand, alignment):
-    write_colmap(alignment, tmp_path, binary=True)
+def test_binary_files_go_before_text_files(tmp_path, write_by_hand, scene):
+    write_colmap(scene, tmp_path, binary=True)
 
-    assert len(read_colmap(write_by_hand())) == 5
+    assert len(read_colmap(write_by_hand()).views) == 5
 
 
-def test_errors_of_points_stand_in_their_column(tmp_path, alignment):
-    write_colmap(alignment, tmp_path / "unknown")
-    write_colmap(alignment, tmp_path / "known", errors=torch.arange(40.0) / 4)
+def test_errors_of_points_stand_in_their_column(tmp_path, scene):
+    write_colmap(scene, tmp_path / "unknown")
+    write_colmap(scene, tmp_path / "known", errors=torch.arange(40.0) / 4)
 
     def column(folder):
         lines = (tmp_path / folder / "points3D.txt").read_text().splitlines()
@@ -182,36 +180,36 @@ def test_errors_of_points_stand_in_their_column(tmp_path, alignment):
 
     assert column("unknown") == [-1.0] * 40
     assert column("known") == [i / 4 for i in range(40)]
-    with pytest.raises(AlignmentError, match=r"errors has shape \(3,\), but must have \(40,\)"):
-        write_colmap(alignment, tmp_path, errors=torch.zeros(3))
+    with pytest.raises(SceneError, match=r"errors has shape \(3,\), but must have \(40,\)"):
+        write_colmap(scene, tmp_path, errors=torch.zeros(3))
 
 
-def test_a_model_replaces_one_of_its_kind_but_is_not_mixed_with_others(tmp_path, alignment):
-    write_colmap(alignment, tmp_path)
-    write_colmap(alignment.of_images(torch.arange(5) > 0).cleaned(), tmp_path)
-    assert len(read_colmap(tmp_path)) == 4
+def test_a_model_replaces_one_of_its_kind_but_is_not_mixed_with_others(tmp_path, scene):
+    write_colmap(scene, tmp_path)
+    write_colmap(scene.of_views(torch.arange(5) > 0).cleaned(), tmp_path)
+    assert len(read_colmap(tmp_path).views) == 4
 
-    with pytest.raises(AlignmentError, match=r"holds cameras.txt, images.txt, points3D.txt of another model"):
-        write_colmap(alignment, tmp_path, binary=True)
+    with pytest.raises(SceneError, match=r"holds cameras.txt, images.txt, points3D.txt of another model"):
+        write_colmap(scene, tmp_path, binary=True)
     (tmp_path / "rigs.bin").touch()
-    with pytest.raises(AlignmentError, match=r"holds rigs.bin of another model"):
-        write_colmap(alignment, tmp_path)
+    with pytest.raises(SceneError, match=r"holds rigs.bin of another model"):
+        write_colmap(scene, tmp_path)
 
 
-def test_a_write_that_fails_leaves_the_earlier_model(tmp_path, alignment):
-    write_colmap(alignment, tmp_path)
+def test_a_write_that_fails_leaves_the_earlier_model(tmp_path, scene):
+    write_colmap(scene, tmp_path)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
 
-    with pytest.raises(AlignmentError, match=r"'b c.jpg' has a blank, at which COLMAP would cut"):
-        write_colmap(replace(alignment, names=("a", "b c.jpg", "d", "e", "f")), tmp_path)
+    with pytest.raises(SceneError, match=r"'b c.jpg' has a blank, at which COLMAP would cut"):
+        write_colmap(named(scene, "a", "b c.jpg", "d", "e", "f"), tmp_path)
 
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize("name", ["", "a\0b"])
-def test_a_name_that_no_file_can_keep_is_refused(tmp_path, alignment, name):
-    with pytest.raises(AlignmentError, match="which a COLMAP model cannot keep"):
-        write_colmap(replace(alignment, names=(name, *alignment.names[1:])), tmp_path, binary=True)
+def test_a_name_that_no_file_can_keep_is_refused(tmp_path, scene, name):
+    with pytest.raises(SceneError, match="which a COLMAP model cannot keep"):
+        write_colmap(named(scene, name, *scene.views.names[1:]), tmp_path, binary=True)
 
 
 @pytest.mark.parametrize(
@@ -273,67 +271,67 @@ def test_a_damaged_text_file_is_refused_by_line_or_record(write_by_hand, file, o
     assert old in files[key]
     files[key] = files[key].replace(old, new, 1)
 
-    with pytest.raises(AlignmentError, match=message):
+    with pytest.raises(SceneError, match=message):
         read_colmap(write_by_hand(**files))
 
 
 def test_a_point_given_twice_is_refused(write_by_hand):
-    with pytest.raises(AlignmentError, match=r"points3D.txt gives point 500 twice"):
+    with pytest.raises(SceneError, match=r"points3D.txt gives point 500 twice"):
         read_colmap(write_by_hand(points=POINTS + "500 1 2 3 10 20 30 0.5 2 2 30 0\n"))
 
 
 @pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
 def test_binary_files_are_refused_wherever_they_are_cut(tmp_path, draw, name):
-    write_colmap(two_lens_alignment(draw, images=3, points=4), tmp_path, binary=True)
+    write_colmap(two_camera_scene(draw, views=3, points=4), tmp_path, binary=True)
     path = tmp_path / f"{name}.bin"
     whole = path.read_bytes()
 
     for size in range(len(whole)):
         path.write_bytes(whole[:size])
-        with pytest.raises(AlignmentError, match=rf"{name}.bin is truncated"):
+        with pytest.raises(SceneError, match=rf"{name}.bin is truncated"):
             read_colmap(tmp_path)
     path.write_bytes(whole + b"xy")
-    with pytest.raises(AlignmentError, match=rf"{name}.bin has 2 bytes after the last of its"):
+    with pytest.raises(SceneError, match=rf"{name}.bin has 2 bytes after the last of its"):
         read_colmap(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
-def test_a_count_beyond_the_file_is_refused(tmp_path, alignment, name):
-    write_colmap(alignment, tmp_path, binary=True)
+def test_a_count_beyond_the_file_is_refused(tmp_path, scene, name):
+    write_colmap(scene, tmp_path, binary=True)
     path = tmp_path / f"{name}.bin"
     path.write_bytes(struct.pack("<Q", 2**64 - 1) + path.read_bytes()[8:])
 
-    with pytest.raises(AlignmentError, match=rf"{name}.bin is truncated: it ends within record \d+ of {2**64 - 1}"):
+    with pytest.raises(SceneError, match=rf"{name}.bin is truncated: it ends within record \d+ of {2**64 - 1}"):
         read_colmap(tmp_path)
 
 
 @pytest.mark.parametrize(("number", "name"), [(5, "OPENCV_FISHEYE"), (77, "number 77")])
-def test_a_camera_model_that_no_lens_holds_is_named_in_binary_files_too(tmp_path, alignment, number, name):
-    write_colmap(alignment, tmp_path, binary=True)
+def test_a_camera_model_that_no_lens_holds_is_named_in_binary_files_too(tmp_path, scene, number, name):
+    write_colmap(scene, tmp_path, binary=True)
     path = tmp_path / "cameras.bin"
     content = bytearray(path.read_bytes())
     content[12:16] = struct.pack("<i", number)
     path.write_bytes(content)
 
-    with pytest.raises(AlignmentError, match=f"cameras.bin: camera 1 has the model {name}, but understood are"):
+    with pytest.raises(SceneError, match=f"cameras.bin: camera 1 has the model {name}, but understood are"):
         read_colmap(tmp_path)
 
 
 def test_files_that_are_not_text_are_refused(tmp_path, write_by_hand):
     write_by_hand()
     (tmp_path / "images.txt").write_bytes(b"\xff\xfe1 2 3")
-    with pytest.raises(AlignmentError, match=r"images.txt is not UTF-8 text"):
+    with pytest.raises(SceneError, match=r"images.txt is not UTF-8 text"):
         read_colmap(tmp_path)
 
 
 def test_what_is_missing_is_said(tmp_path, write_by_hand):
-    with pytest.raises(AlignmentError, match="nowhere is not a folder"):
+    with pytest.raises(SceneError, match="nowhere is not a folder"):
         read_colmap(tmp_path / "nowhere")
-    with pytest.raises(AlignmentError, match=r"holds no COLMAP model: looked for cameras, images and points3D"):
+    with pytest.raises(SceneError, match=r"holds no COLMAP model: looked for cameras, images and points3D"):
         read_colmap(tmp_path)
     write_by_hand(folder="sparse/0")
     (tmp_path / "sparse" / "0" / "points3D.txt").unlink()
-    with pytest.raises(AlignmentError, match=r"sparse/0 lacks points3D.txt"):
+    with pytest.raises(SceneError, match=r"sparse/0 lacks points3D.txt"):
         read_colmap(tmp_path)
 
 
@@ -343,47 +341,49 @@ def pycolmap():
 
 
 @pytest.mark.parametrize("binary", [True, False], ids=["binary", "text"])
-def test_pycolmap_reads_what_is_written(pycolmap, tmp_path, alignment, binary):
-    write_colmap(alignment, tmp_path, binary=binary, errors=torch.arange(40.0))
+def test_pycolmap_reads_what_is_written(pycolmap, tmp_path, scene, binary):
+    write_colmap(scene, tmp_path, binary=binary, errors=torch.arange(40.0))
 
     model = pycolmap.Reconstruction(str(tmp_path))
 
     assert (model.num_reg_images(), model.num_points3D()) == (5, 40)
-    for i, name in enumerate(alignment.names):
+    for i, name in enumerate(scene.views.names):
         image = model.find_image_with_name(name)
         pose = torch.from_numpy(image.cam_from_world().matrix())
-        torch.testing.assert_close(pose[:, :3], alignment.rotation[i], rtol=0.0, atol=4e-15)
+        torch.testing.assert_close(pose[:, :3], scene.views.rotation[i], rtol=0.0, atol=4e-15)
         center = torch.from_numpy(image.projection_center())
-        torch.testing.assert_close(center, alignment.center[i], rtol=0.0, atol=1e-13)
+        torch.testing.assert_close(center, scene.views.center[i], rtol=0.0, atol=1e-13)
     for k in range(40):
         point = model.points3D[k + 1]
-        rows = (alignment.point == k).nonzero()[:, 0].tolist()
-        assert point.xyz.tolist() == alignment.points[k].tolist()
-        assert point.color.tolist() == alignment.colors[k].tolist()
+        rows = (scene.observations.point == k).nonzero()[:, 0].tolist()
+        assert point.xyz.tolist() == scene.points[k].tolist()
+        assert point.color.tolist() == scene.colors[k].tolist()
         assert point.error == k
         elements = [(model.images[e.image_id], e.point2D_idx) for e in point.track.elements]
-        assert [image.name for image, _ in elements] == [alignment.names[alignment.image[row]] for row in rows]
+        assert [image.name for image, _ in elements] == [
+            scene.views.names[scene.observations.view[row]] for row in rows
+        ]
         features = [image.points2D[index] for image, index in elements]
-        assert [feature.xy.tolist() for feature in features] == alignment.pixels[rows].tolist()
+        assert [feature.xy.tolist() for feature in features] == scene.observations.pixels[rows].tolist()
         assert {feature.point3D_id for feature in features} == {k + 1}
 
 
 @pytest.mark.parametrize("binary", [True, False], ids=["binary", "text"])
-def test_what_pycolmap_writes_is_read(pycolmap, tmp_path, alignment, binary):
-    write_colmap(alignment, tmp_path / "ours", binary=True)
+def test_what_pycolmap_writes_is_read(pycolmap, tmp_path, scene, binary):
+    write_colmap(scene, tmp_path / "ours", binary=True)
     (tmp_path / "theirs").mkdir()
     model = pycolmap.Reconstruction(str(tmp_path / "ours"))
 
     (model.write_binary if binary else model.write_text)(str(tmp_path / "theirs"))
 
-    assert_same(read_colmap(tmp_path / "theirs"), alignment, poses_exact=False)
+    assert_same(read_colmap(tmp_path / "theirs"), scene, poses_exact=False)
 
 
-def test_pycolmap_projects_through_the_same_lens(pycolmap, tmp_path, draw, alignment):
-    write_colmap(alignment, tmp_path)
+def test_pycolmap_projects_through_the_same_lens(pycolmap, tmp_path, draw, scene):
+    write_colmap(scene, tmp_path)
     cameras = pycolmap.Reconstruction(str(tmp_path)).cameras
     rays = torch.cat((draw.uniform(-0.4, 0.4, 50, 2), torch.ones(50, 1, dtype=torch.float64)), dim=-1)
 
-    for i, lens in enumerate(alignment.lenses):
+    for i in range(len(scene.cameras)):
         projected = torch.from_numpy(cameras[i + 1].img_from_cam(rays.numpy()))
-        torch.testing.assert_close(lens.pixels_from_plane(rays[:, :2]), projected, rtol=0.0, atol=1e-10)
+        torch.testing.assert_close(scene.cameras[i].pixels_from_plane(rays[:, :2]), projected, rtol=0.0, atol=1e-10)

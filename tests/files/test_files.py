@@ -9,64 +9,116 @@ import trimesh
 
 from torchrefrac.atomic import replacing
 from torchrefrac.camera import Intrinsics
-from torchrefrac.files.cameras import load_cameras, load_points, write_cameras, write_points
+from torchrefrac.files.cameras import load_cameras, load_points, read_cameras, write_cameras, write_points
 from torchrefrac.files.library import embedded_scene
 from torchrefrac.files.truth import load_truth
-from torchrefrac.scene import Assessment, CaptureError, Reconstruction
+from torchrefrac.geometry import Rigid
+from torchrefrac.scene import Assessment, Cameras, CaptureError, Interfaces, Observations, Scene, SceneError
+
+CAMERAS_JSON = """{
+    "format": "torchrefrac-cameras/1", "length_unit": "cm", "index_ratio": 1.333, "pixel_origin": "corner",
+    "intrinsics": {
+        "width": 64, "height": 48, "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 24.0,
+        "distortion": [0.1, 0.2, 0.3, 0.4, 0.5]
+    },
+    "images": [
+        {
+            "name": "a.png", "registered": true,
+            "cam_from_world_rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            "center_in_world": [0.0, 1.0, 2.0]
+        },
+        {"name": "b.png", "registered": false, "reason": "sees nothing"}
+    ]
+}"""
 
 
 @pytest.fixture
-def reconstruction(draw):
-    empty = torch.zeros(0, dtype=torch.long)
-    return Reconstruction(
+def scene(draw):
+    intrinsics = Intrinsics.create(64, 48, 50.0, distortion=(0.1, 0.2, 0.3, 0.4, 0.5))
+    scene = Scene.create(
+        Rigid(draw.rotations(2), draw.normal(2, 3)),
+        intrinsics,
+        Interfaces.level(1.333),
+        torch.zeros(0, 3, dtype=torch.float64),
+        Observations.none(),
         names=("a.png", "b.png"),
-        registered=torch.tensor([True, False]),
-        rotation=draw.rotations(2),
-        center=draw.normal(2, 3),
-        intrinsics=Intrinsics.create(64, 48, 50.0, distortion=(0.1, 0.2, 0.3, 0.4, 0.5)),
-        index_ratio=1.333,
         length_unit="cm",
-        points=torch.zeros(0, 3, dtype=torch.float64),
-        colors=torch.zeros(0, 3, dtype=torch.uint8),
-        image=empty,
-        point=empty,
-        pixels=torch.zeros(0, 2, dtype=torch.float64),
-        failures={"b.png": "sees nothing"},
     )
+    views = replace(scene.views, registered=torch.tensor([True, False]))
+    return replace(scene, views=views, failures={"b.png": "sees nothing"})
 
 
-def test_cameras_survive_the_file_to_the_last_bit(tmp_path, reconstruction):
-    write_cameras(reconstruction, tmp_path / "cameras.json")
-    loaded = load_cameras(tmp_path / "cameras.json")
-    assert loaded.names == reconstruction.names
-    assert loaded.failures == reconstruction.failures
-    assert torch.equal(loaded.registered, reconstruction.registered)
-    assert torch.equal(loaded.rotation[0], reconstruction.rotation[0])
-    assert torch.equal(loaded.center[0], reconstruction.center[0])
-    assert torch.equal(loaded.intrinsics.distortion, reconstruction.intrinsics.distortion)
+def test_cameras_survive_the_file_to_the_last_bit(tmp_path, scene):
+    write_cameras(scene, tmp_path / "cameras.json")
+    loaded = read_cameras(tmp_path / "cameras.json")
+    assert loaded.views.names == scene.views.names
+    assert loaded.failures == scene.failures
+    assert torch.equal(loaded.views.registered, scene.views.registered)
+    assert torch.equal(loaded.views.rotation[0], scene.views.rotation[0])
+    assert torch.equal(loaded.views.center[0], scene.views.center[0])
+    assert torch.equal(loaded.intrinsics.distortion, scene.intrinsics.distortion)
     assert (loaded.index_ratio, loaded.length_unit) == (1.333, "cm")
+    assert loaded.interfaces.is_level
 
 
-def test_covariances_of_centres_survive_the_file_to_the_last_bit(tmp_path, draw, reconstruction):
+def test_covariances_of_centres_survive_the_file_to_the_last_bit(tmp_path, draw, scene):
     half = draw.normal(1, 3, 3)
     covariance = half @ half.mT
     known = Assessment(center_covariance=covariance)
 
-    write_cameras(replace(reconstruction, assessment=known), tmp_path / "cameras.json")
-    told = load_cameras(tmp_path / "cameras.json").assessment
+    write_cameras(replace(scene, assessment=known), tmp_path / "cameras.json")
+    found = read_cameras(tmp_path / "cameras.json").assessment
 
-    assert torch.equal(told.center_covariance, covariance)
-    assert float(told.center_sigma) == pytest.approx(float(covariance[0].trace() / 3.0) ** 0.5)
-
-
-def test_without_covariances_nothing_is_known_of_the_centres(tmp_path, reconstruction):
-    write_cameras(reconstruction, tmp_path / "cameras.json")
-
-    assert load_cameras(tmp_path / "cameras.json").assessment == Assessment()
+    assert torch.equal(found.center_covariance, covariance)
+    assert float(found.center_sigma) == pytest.approx(float(covariance[0].trace() / 3.0) ** 0.5)
 
 
-def test_an_unregistered_image_has_a_reason_and_no_pose(tmp_path, reconstruction):
-    write_cameras(reconstruction, tmp_path / "cameras.json")
+def test_without_covariances_nothing_is_known_of_the_centres(tmp_path, scene):
+    write_cameras(scene, tmp_path / "cameras.json")
+
+    found = read_cameras(tmp_path / "cameras.json").assessment
+
+    assert (found.center_sigma, found.center_covariance) == (None, None)
+
+
+def test_a_file_of_cameras_is_as_it_always_was(tmp_path, scene):
+    """Whoever reads run folders relies on it, byte for byte."""
+    pose = Rigid(torch.eye(3, dtype=torch.float64).repeat(2, 1, 1), torch.arange(6.0, dtype=torch.float64).view(2, 3))
+
+    write_cameras(replace(scene, views=replace(scene.views, pose=pose)), tmp_path / "cameras.json")
+
+    assert json.dumps(json.loads(CAMERAS_JSON), indent=1) + "\n" == (tmp_path / "cameras.json").read_text()
+
+
+def test_a_scene_that_the_file_has_no_place_for_is_refused(tmp_path, scene):
+    several = replace(scene, cameras=Cameras.of([scene.intrinsics, scene.intrinsics]))
+    raised = replace(scene, interfaces=Interfaces.level(1.333, height=2.0))
+
+    with pytest.raises(SceneError, match="has 2 cameras"):
+        write_cameras(several, tmp_path / "cameras.json")
+    with pytest.raises(SceneError, match="water that is not the plane z = 0"):
+        write_cameras(raised, tmp_path / "cameras.json")
+    assert not list(tmp_path.iterdir())
+
+
+def test_cameras_of_a_run_have_names_and_project(tmp_path, draw, scene):
+    write_cameras(scene, tmp_path / "cameras.json")
+    points = draw.uniform(-1.0, 0.0, 10, 3)
+
+    for place in (tmp_path, str(tmp_path / "cameras.json")):
+        cameras = load_cameras(place)
+
+        assert cameras.names == ("a.png",)
+        assert cameras.shape == (1,)
+        found, wanted = cameras.project(points), scene.camera_of(torch.tensor([0])).project(points)
+        assert torch.equal(found[0], wanted[0])
+        assert torch.equal(found[1], wanted[1])
+    with pytest.raises(SceneError, match=r"nowhere.json is not a file"):
+        load_cameras(tmp_path / "nowhere.json")
+
+
+def test_an_unregistered_image_has_a_reason_and_no_pose(tmp_path, scene):
+    write_cameras(scene, tmp_path / "cameras.json")
     entry = json.loads((tmp_path / "cameras.json").read_text())["images"][1]
     assert entry == {"name": "b.png", "registered": False, "reason": "sees nothing"}
 

@@ -88,29 +88,29 @@ def test_what_is_measured_of_images_arrives_at_their_indices(read):
 def test_what_is_measured_of_marks_arrives_sorted_by_mark(read):
     survey = read()
 
-    assert survey.mark_names == ("A", "B", "C")
-    assert survey.mark.tolist() == [0, 0, 1, 2, 2]
-    assert survey.mark_image.tolist() == [1, 2, 0, 2, 1]
-    assert survey.known_mark.tolist() == [1]
+    assert survey.control_names == ("A", "B", "C")
+    assert survey.control.tolist() == [0, 0, 1, 2, 2]
+    assert survey.control_image.tolist() == [1, 2, 0, 2, 1]
+    assert survey.known_control.tolist() == [1]
     assert survey.known_position.tolist() == [[7.0, 8.0, 9.0]]
-    assert survey.waterline_mark.tolist() == [2]
+    assert survey.waterline_control.tolist() == [2]
     assert survey.waterline_sigma.tolist() == [0.003]
     assert (survey.bar_from.tolist(), survey.bar_to.tolist()) == ([2], [0])
     assert (survey.bar_length.tolist(), survey.bar_sigma.tolist()) == ([1.5], [0.001])
-    assert survey.skipped_marks == ()
+    assert survey.skipped_controls == ()
 
 
 def test_opencv_pixels_are_shifted_by_half_a_pixel_once(read):
     survey = read()
 
-    assert survey.mark_pixels.tolist() == [[10.5, 20.5], [12.0, 22.0], [30.5, 40.5], [50.5, 60.5], [51.5, 61.5]]
+    assert survey.control_pixels.tolist() == [[10.5, 20.5], [12.0, 22.0], [30.5, 40.5], [50.5, 60.5], [51.5, 61.5]]
 
 
 @pytest.mark.parametrize("change", [lambda c: c.update(pixel_origin="corner"), lambda c: c.pop("pixel_origin")])
 def test_pixels_are_colmap_s_where_nothing_else_is_said(read, change):
     survey = read(change)
 
-    assert survey.mark_pixels[:2].tolist() == [[10.0, 20.0], [11.5, 21.5]]
+    assert survey.control_pixels[:2].tolist() == [[10.0, 20.0], [11.5, 21.5]]
 
 
 def test_information_is_the_inverse_of_the_covariance(read):
@@ -167,16 +167,16 @@ def test_empty_tables_keep_their_shapes():
 
     assert survey.names == ("a.jpg",)
     assert survey.center_information.shape == (0, 3, 3)
-    assert survey.mark_pixels.shape == (0, 2)
+    assert survey.control_pixels.shape == (0, 2)
     assert survey.down_in_cam.dtype == survey.bar_sigma.dtype == torch.float64
-    assert survey.mark.dtype == survey.bar_from.dtype == torch.long
+    assert survey.control.dtype == survey.bar_from.dtype == torch.long
 
 
 def test_a_mark_said_to_be_off_the_waterline_is_off_it(read):
     survey = read(lambda c: c["marks"]["C"].update(on_waterline=False))
 
-    assert len(survey.waterline_mark) == 0
-    assert len(survey.mark_names) == 3
+    assert len(survey.waterline_control) == 0
+    assert len(survey.control_names) == 3
 
 
 def test_images_that_the_alignment_lacks_are_skipped_and_listed(read):
@@ -185,14 +185,14 @@ def test_images_that_the_alignment_lacks_are_skipped_and_listed(read):
     assert survey.skipped == ("b.jpg",)
     assert survey.center_image.tolist() == [1]
     assert survey.height_image.tolist() == [1, 0]
-    assert survey.mark_image.tolist() == [0]
+    assert survey.control_image.tolist() == [0]
 
 
 def test_an_image_seen_by_marks_alone_is_skipped_and_listed_too(read):
     survey = read(lambda c: c["marks"]["A"]["observations"].update({"z.jpg": [1, 2]}))
 
     assert survey.skipped == ("z.jpg",)
-    assert survey.mark.tolist() == [0, 0, 1, 2, 2]
+    assert survey.control.tolist() == [0, 0, 1, 2, 2]
 
 
 def test_marks_that_skipped_images_leave_without_a_place_go_with_their_scale_bars(read):
@@ -200,24 +200,24 @@ def test_marks_that_skipped_images_leave_without_a_place_go_with_their_scale_bar
         lambda c: c["scale_bars"].append({"from": "B", "to": "A", "length": 2, "sigma": 1}), names=("c.jpg", "a.jpg")
     )
 
-    assert survey.mark_names == ("B",)
-    assert survey.skipped_marks == ("A", "C")
-    assert survey.mark.tolist() == [0]
-    assert survey.known_mark.tolist() == [0]
-    assert len(survey.waterline_mark) == len(survey.bar_from) == len(survey.bar_length) == 0
+    assert survey.control_names == ("B",)
+    assert survey.skipped_controls == ("A", "C")
+    assert survey.control.tolist() == [0]
+    assert survey.known_control.tolist() == [0]
+    assert len(survey.waterline_control) == len(survey.bar_from) == len(survey.bar_length) == 0
 
 
 def test_a_mark_of_known_position_that_no_image_of_the_alignment_sees_is_skipped(read):
     survey = read(names=("a.jpg", "b.jpg"))
 
-    assert survey.skipped_marks == ("B",)
-    assert survey.mark_names == ("A", "C")
-    assert survey.mark.tolist() == [0, 0, 1, 1]
-    assert (survey.waterline_mark.tolist(), survey.bar_from.tolist(), survey.bar_to.tolist()) == ([1], [1], [0])
+    assert survey.skipped_controls == ("B",)
+    assert survey.control_names == ("A", "C")
+    assert survey.control.tolist() == [0, 0, 1, 1]
+    assert (survey.waterline_control.tolist(), survey.bar_from.tolist(), survey.bar_to.tolist()) == ([1], [1], [0])
 
 
 def test_a_survey_of_another_alignment_is_refused(read):
-    sentence = r"survey.json names the images a.jpg, b.jpg, c.jpg, but the alignment has none of them; .* x.jpg, y.jpg$"
+    sentence = r"survey.json names the images a.jpg, b.jpg, c.jpg, but the scene has none of them; .* x.jpg, y.jpg$"
 
     with pytest.raises(SurveyError, match=sentence):
         read(names=("x.jpg", "y.jpg"))

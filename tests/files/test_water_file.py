@@ -2,12 +2,16 @@
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
-from torchrefrac.files.water import Water, read_water, write_water
-from torchrefrac.scene.alignment import AlignmentError
+from tests.files.two_cameras import two_camera_scene
+from torchrefrac.files.water import read_water, write_water
+from torchrefrac.scene import Interfaces, SceneError
+
+NAMES = ("a.jpg", "b.jpg", "c.jpg")
 
 
 @pytest.fixture
@@ -23,52 +27,63 @@ def content():
 
 @pytest.fixture
 def read(tmp_path, content):
-    """Writes the content with `change` made to it, and reads that."""
+    """Writes the content with `change` made to it, and reads that for views of these names."""
 
-    def read(change=None):
+    def read(change=None, names=NAMES):
         if change is not None:
             change(content)
         (tmp_path / "water.json").write_text(json.dumps(content))
-        return read_water(tmp_path / "water.json")
+        return read_water(tmp_path / "water.json", names)
 
     return read
 
 
 def test_water_survives_the_file_to_the_last_bit(tmp_path, draw):
-    water = Water(1.3371, draw.directions(20), draw.normal(20), {f"{i}.jpg": (7 * i) % 20 for i in range(50)}, "ft")
+    ratio = torch.full((20,), 1.3371, dtype=torch.float64)
+    water, plane = Interfaces(draw.directions(20), draw.normal(20), ratio), 7 * torch.arange(50) % 20
+    scene = two_camera_scene(draw, views=50, points=4)
+    scene = replace(scene, interfaces=water, views=replace(scene.views, interface=plane), length_unit="ft")
 
-    write_water(water, tmp_path / "water.json")
-    loaded = read_water(tmp_path / "water.json")
+    write_water(scene, tmp_path / "water.json")
+    found, interface = read_water(tmp_path / "water.json", scene.views.names)
 
-    assert torch.equal(loaded.normal, water.normal)
-    assert torch.equal(loaded.offset, water.offset)
-    assert (loaded.index_ratio, loaded.length_unit, dict(loaded.plane_of)) == (1.3371, "ft", water.plane_of)
+    for name in ("normal", "offset", "index_ratio"):
+        assert torch.equal(getattr(found, name), getattr(water, name)), name
+    assert torch.equal(interface, plane)
+    assert json.loads((tmp_path / "water.json").read_text())["length_unit"] == "ft"
+
+
+def test_surfaces_of_several_index_ratios_have_no_place_in_the_file(tmp_path, draw):
+    water = Interfaces(draw.directions(2), draw.normal(2), torch.tensor((1.33, 1.34), dtype=torch.float64))
+
+    with pytest.raises(SceneError, match="have index ratios"):
+        write_water(replace(two_camera_scene(draw), interfaces=water), tmp_path / "water.json")
 
 
 def test_a_normal_of_another_length_means_the_same_plane(read):
-    water = read()
+    water, _ = read()
 
     assert water.normal.tolist() == [[0.0, 0.6, 0.8], [0.0, 0.0, 1.0]]
     assert water.offset.tolist() == [2.5, 2.0]
 
 
-def test_images_find_their_planes_in_any_order(read):
-    assert read().planes_of(("b.jpg", "c.jpg", "a.jpg", "b.jpg")).tolist() == [1, 0, 0, 1]
+def test_views_find_their_planes_in_any_order(read):
+    assert read(names=("b.jpg", "c.jpg", "a.jpg", "b.jpg"))[1].tolist() == [1, 0, 0, 1]
 
 
-def test_one_plane_is_that_of_every_image(read):
+def test_one_plane_is_that_of_every_view(read):
     def one_plane(content):
         del content["planes"][1], content["plane_of"]
 
-    water = read(one_plane)
+    water, interface = read(one_plane, names=("any.jpg", "other.jpg"))
 
-    assert dict(water.plane_of) == {}
-    assert water.planes_of(("any.jpg", "other.jpg")).tolist() == [0, 0]
+    assert len(water) == 1
+    assert interface.tolist() == [0, 0]
 
 
-def test_an_image_without_a_plane_is_named(read):
-    with pytest.raises(AlignmentError, match=r"plane_of lacks 1 of 2 images, z.jpg first; with 2 planes"):
-        read().planes_of(("a.jpg", "z.jpg"))
+def test_a_view_without_a_plane_is_named(read):
+    with pytest.raises(SceneError, match=r"plane_of lacks 1 of 2 images, z.jpg first; with 2 planes"):
+        read(names=("a.jpg", "z.jpg"))
 
 
 @pytest.mark.parametrize(
@@ -89,27 +104,13 @@ def test_an_image_without_a_plane_is_named(read):
     ],
 )
 def test_a_file_that_cannot_be_right_is_refused_by_field(read, change, message):
-    with pytest.raises(AlignmentError, match=message):
+    with pytest.raises(SceneError, match=message):
         read(change)
 
 
 def test_a_missing_file_and_broken_json_are_named(tmp_path):
-    with pytest.raises(AlignmentError, match=r"water.json is not a file"):
-        read_water(tmp_path / "water.json")
+    with pytest.raises(SceneError, match=r"water.json is not a file"):
+        read_water(tmp_path / "water.json", NAMES)
     (tmp_path / "water.json").write_text('{"format": ')
-    with pytest.raises(AlignmentError, match=r"water.json is not valid JSON"):
-        read_water(tmp_path / "water.json")
-
-
-@pytest.mark.parametrize(
-    ("normal", "offset", "message"),
-    [
-        (torch.zeros(0, 3), torch.zeros(0), "at least one plane"),
-        (torch.ones(1, 3), torch.zeros(1), "unit vectors"),
-        (torch.full((1, 3), torch.nan), torch.zeros(1), "unit vectors"),
-        (torch.tensor([[0.0, 0.0, 1.0]]), torch.tensor([torch.inf]), "finite"),
-    ],
-)
-def test_planes_that_are_none_are_refused(normal, offset, message):
-    with pytest.raises(AlignmentError, match=message):
-        Water(1.333, normal, offset)
+    with pytest.raises(SceneError, match=r"water.json is not valid JSON"):
+        read_water(tmp_path / "water.json", NAMES)

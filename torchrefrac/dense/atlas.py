@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 MARGIN = 2  # pixels between neighbours on the sheet, and around each, filled with its border
@@ -15,28 +16,28 @@ MARGIN = 2  # pixels between neighbours on the sheet, and around each, filled wi
 
 @dataclass(frozen=True)
 class Atlas:
-    """m images, or parts of them, in L sizes, each half of the one before, on one sheet.
+    """Images, or parts of them, in several sizes, each half of the one before, on one sheet.
 
-    sheet (1, 1, H, W), grey; offset (m, L, 2): from a pixel of a copy (x, y) to its place on the sheet; origin (m, 2):
-    the part's corner in its image; size (m, L, 2): width and height of each copy in its own pixels. A copy's pixels
-    (COLMAP's convention) are those of the part divided by 2^level. mode: bilinear or bicubic.
+    sheet: grey; offset: from a pixel of a copy (x, y) to its place on the sheet; origin: the part's corner in its
+    image; size: width and height of each copy in its own pixels. A copy's pixels (COLMAP's convention) are those of the
+    part divided by 2^level. mode: bilinear or bicubic.
     """
 
-    sheet: Tensor
-    offset: Tensor
-    origin: Tensor
-    size: Tensor
+    sheet: Float[Tensor, "1 1 height width"]
+    offset: Float[Tensor, "m levels 2"]
+    origin: Float[Tensor, "m 2"]
+    size: Float[Tensor, "m levels 2"]
     mode: str
 
     @classmethod
     def build(
         cls,
-        images: Sequence[Tensor],
+        images: Sequence[Float[Tensor, "_ _"]],
         levels: int,
-        origin: Tensor | None = None,
+        origin: Float[Tensor, "m 2"] | None = None,
         mode: str = "bilinear",
     ) -> "Atlas":
-        """Of grey parts (h, w), which may differ in size, with their corners (m, 2). Differentiable in the images."""
+        """Of m grey parts, which may differ in size, with their corners. Differentiable in the images."""
         copies = [copy for image in images for copy in pyramid(image, levels)]
         places, height, width = _shelves([(copy.shape[0], copy.shape[1]) for copy in copies])
         sheet = copies[0].new_zeros(height, width)
@@ -55,18 +56,22 @@ class Atlas:
     def levels(self) -> int:
         return self.offset.shape[1]
 
-    def copy(self, image: int, level: int = 0) -> Tensor:
-        """The copy (h, w) of an image's part."""
+    def copy(self, image: int, level: int = 0) -> Float[Tensor, "h w"]:
+        """The copy of an image's part."""
         (x, y), (width, height) = self.offset[image, level].long().tolist(), self.size[image, level].long().tolist()
         return self.sheet[0, 0, y : y + height, x : x + width]
 
-    def contains(self, image: Tensor, level: Tensor, pixels: Tensor) -> Tensor:
-        """Whether all of pixels (P, K, 2) of images (P) lie in their copies (P), half a pixel from the border: (P)."""
-        at = self._in_copy(image, level, pixels)
+    def contains(
+        self, image: Int[Tensor, " p"], level: Int[Tensor, " p"], pixels: Float[Tensor, "p k 2"]
+    ) -> Bool[Tensor, " p"]:
+        """Whether all k pixels of an image lie in its copy `level`, half a pixel from the border."""
+        at = (pixels - self.origin[image].to(pixels)[:, None]) * self._shrink(level, pixels)[:, None]
         return ((at > 0.5) & (at < self.size[image, level].to(at)[:, None] - 0.5)).flatten(1).all(dim=1)
 
-    def sample(self, image: Tensor, level: Tensor, pixels: Tensor) -> Tensor:
-        """Grey values (P, K) at pixels (P, K, 2) of images (P) in copies (P).
+    def sample(
+        self, image: Int[Tensor, " p"], level: Int[Tensor, " p"], pixels: Float[Tensor, "p k 2"]
+    ) -> Float[Tensor, "p k"]:
+        """Grey values at k pixels of each image, in its copy `level`.
 
         Differentiable in the pixels and in the images. Up to half a pixel of the copy beyond its border they are those
         of the border; farther out they mean nothing (see `contains`).
@@ -80,23 +85,22 @@ class Atlas:
             self.sheet, grid[None].to(self.sheet.dtype), mode=self.mode, padding_mode="border", align_corners=False
         )[0, 0]
 
-    def sample_with_slopes(self, image: Tensor, level: Tensor, pixels: Tensor) -> tuple[Tensor, Tensor]:
-        """`sample`, and the derivatives of the values in their pixels (P, K, 2); without a graph."""
+    def sample_with_slopes(
+        self, image: Int[Tensor, " p"], level: Int[Tensor, " p"], pixels: Float[Tensor, "p k 2"]
+    ) -> tuple[Float[Tensor, "p k"], Float[Tensor, "p k 2"]]:
+        """`sample`, and the derivatives of the values in their pixels; without a graph."""
         pixels = pixels.detach().requires_grad_()
         with torch.enable_grad():
             values = self.sample(image, level, pixels)
         slopes = torch.autograd.grad(values, pixels, torch.ones_like(values))[0]
         return values.detach(), slopes
 
-    def _in_copy(self, image: Tensor, level: Tensor, pixels: Tensor) -> Tensor:
-        return (pixels - self.origin[image].to(pixels)[:, None]) * self._shrink(level, pixels)[:, None]
-
-    def _shrink(self, level: Tensor, like: Tensor) -> Tensor:
+    def _shrink(self, level: Int[Tensor, " p"], like: Float[Tensor, "..."]) -> Float[Tensor, "p 1"]:
         return (0.5 ** level.to(like))[:, None]
 
 
-def pyramid(image: Tensor, levels: int) -> list[Tensor]:
-    """The image (h, w) and its smaller copies; odd sizes first repeat their last row or column."""
+def pyramid(image: Float[Tensor, "h w"], levels: int) -> list[Float[Tensor, "_ _"]]:
+    """The image and its smaller copies; odd sizes first repeat their last row or column."""
     from kornia.geometry import transform  # noqa: PLC0415 - importing it takes seconds
 
     copies = [image[None, None]]

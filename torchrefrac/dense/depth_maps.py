@@ -1,6 +1,7 @@
-"""What each image sees of the finished surface."""
+"""What each view sees of the finished surface."""
 
 import torch
+from jaxtyping import Shaped
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -29,7 +30,7 @@ def depth_map(patches: Patches, camera: RefractiveCamera, name: str, cell: int, 
     close = (points - patches.points[use]).norm(dim=-1) < 2.0 * cell * patches.footprint[use]
     points = torch.where(close[:, None], points, patches.points[use])
 
-    def spread(values: Tensor) -> Tensor:
+    def spread(values: Shaped[Tensor, "k *rest"]) -> Shaped[Tensor, "rows columns *rest"]:
         table = values.new_zeros(rows * columns, *values.shape[1:])
         table[at] = values
         return table.view(rows, columns, *values.shape[1:])

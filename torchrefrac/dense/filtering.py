@@ -2,6 +2,7 @@
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
@@ -14,8 +15,8 @@ REACH = 4.0  # cells within which these must lie
 THICKNESS = 4.0  # footprints within which two patches in one line of sight are the same surface
 
 
-def supported(patches: Patches, cell: int) -> Tensor:
-    """Which patches (N) lie on the planes of most of their neighbours, and these on theirs."""
+def supported(patches: Patches, cell: int) -> Bool[Tensor, " n"]:
+    """Which patches lie on the planes of most of their neighbours, and these on theirs."""
     count = len(patches)
     if count <= NEAREST:
         return torch.ones_like(patches.score, dtype=torch.bool)
@@ -31,25 +32,25 @@ def supported(patches: Patches, cell: int) -> Tensor:
     return agree.sum(dim=1) > NEAREST // 2
 
 
-def unobstructing(patches: Patches, cameras: RefractiveCamera, cell: int) -> Tensor:
-    """Which patches (N) are not contradicted by what others see through them.
+def unobstructing(patches: Patches, cameras: RefractiveCamera, cell: int) -> Bool[Tensor, " n"]:
+    """Which patches are not contradicted by what others see through them.
 
-    cameras (m). In every image a patch falls into a cell. Patches that are seen there beyond it speak against it with
-    their scores, those at its own distance for it, and it speaks for itself in every image that sees it.
+    cameras (m): of all views. In every view a patch falls into a cell. Patches that are seen there beyond it speak
+    against it with their scores, those at its own distance for it, and it speaks for itself in every view that sees it.
     """
     against = torch.zeros_like(patches.score)
     favour = patches.score * patches.views
-    for image in range(cameras.shape[0]):
-        seen = patches.seen_by(image)
+    for view in range(cameras.shape[0]):
+        seen = patches.seen_by(view)
         if not bool(seen.any()):
             continue
-        camera = cameras[image]
+        camera = cameras[view]
         pixels, valid = camera.project(patches.points, inside_image=True)
         rows = valid.nonzero()[:, 0]
         columns = camera.intrinsics.width // cell + 1
         at = (pixels[rows] / cell).long()
         depth = depth_in(camera, patches.points[rows])
-        beyond, same = _votes(
+        beyond, same = votes(
             at[:, 1] * columns + at[:, 0],
             depth,
             THICKNESS * patches.footprint[rows],
@@ -60,8 +61,10 @@ def unobstructing(patches: Patches, cameras: RefractiveCamera, cell: int) -> Ten
     return against <= favour
 
 
-def _votes(cells: Tensor, depth: Tensor, thickness: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-    """Weights (k) of all others in the same cell that lie beyond each, and at its depth."""
+def votes(
+    cells: Int[Tensor, " k"], depth: Float[Tensor, " k"], thickness: Float[Tensor, " k"], weight: Float[Tensor, " k"]
+) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"]]:
+    """Weights of all others in the same cell that lie beyond each, and at its depth."""
     if not len(cells):
         return depth, depth
     low = depth.min()

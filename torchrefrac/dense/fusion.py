@@ -1,8 +1,9 @@
-"""The patches of images that were each filled on their own, as one surface."""
+"""The patches of views that were each filled on their own, as one surface."""
 
 from dataclasses import replace
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -12,14 +13,15 @@ REACH = 3.0  # cells within which the other patch must lie
 
 
 def fuse(patches: Patches, cameras: RefractiveCamera, cell: int, min_maps: int) -> Patches:
-    """Patches that at least `min_maps` images found, each once, at the mean of what these images found.
+    """Patches that at least `min_maps` views found, each once, at the mean of what these views found.
 
-    cameras (m). A patch is found again by an image whose own patch in that place lies in the same plane. The mean is
-    taken along the normal, weighted by 1 / sigma^2; sigma stays that of the better patch, as they share photographs.
+    cameras (m): of all views. A patch is found again by a view whose own patch in that place lies in the same plane.
+    The mean is taken along the normal, weighted by 1 / sigma^2; sigma stays that of the better patch, as they share
+    photographs.
     """
     tables = _tables(patches, cameras, cell)
     taken = torch.zeros(len(patches), dtype=torch.bool)
-    kept, points, sigma = [], [], []
+    chosen, points, sigma = [], [], []
     for image in range(cameras.shape[0]):
         rows = ((patches.reference == image) & ~taken).nonzero()[:, 0]
         weight = patches.sigma[rows].square().reciprocal()
@@ -39,14 +41,14 @@ def fuse(patches: Patches, cameras: RefractiveCamera, cell: int, min_maps: int) 
         good = maps >= min_maps
         for match, agrees in found:
             taken[match[agrees & good]] = True
-        kept.append(rows[good])
+        chosen.append(rows[good])
         points.append(patches.points[rows[good]] + (moved / total)[good, None] * patches.normals[rows[good]])
         sigma.append(best[good])
-    return replace(patches[torch.cat(kept)], points=torch.cat(points), sigma=torch.cat(sigma))
+    return replace(patches[torch.cat(chosen)], points=torch.cat(points), sigma=torch.cat(sigma))
 
 
-def _tables(patches: Patches, cameras: RefractiveCamera, cell: int) -> list[Tensor]:
-    """For every image, the patch (rows, columns) of each of its cells, -1 where there is none."""
+def _tables(patches: Patches, cameras: RefractiveCamera, cell: int) -> list[Int[Tensor, "rows columns"]]:
+    """For every view, the patch of each of its cells, -1 where there is none."""
     width, height = cameras.intrinsics.width, cameras.intrinsics.height
     tables = []
     for image in range(cameras.shape[0]):
@@ -59,10 +61,14 @@ def _tables(patches: Patches, cameras: RefractiveCamera, cell: int) -> list[Tens
 
 
 def _found_again(
-    patches: Patches, rows: Tensor, camera: RefractiveCamera, table: Tensor, cell: int
-) -> tuple[Tensor, Tensor, Tensor]:
-    """The other image's patch (k) where each of `rows` (k) is seen, how far its plane is along the normal, and whether
-    the two are the same surface."""
+    patches: Patches,
+    rows: Int[Tensor, " k"],
+    camera: RefractiveCamera,
+    table: Int[Tensor, "rows columns"],
+    cell: int,
+) -> tuple[Int[Tensor, " k"], Float[Tensor, " k"], Bool[Tensor, " k"]]:
+    """The other view's patch where each of `rows` is seen, how far its plane is along the normal, and whether the two
+    are the same surface."""
     pixels, valid = camera.project(patches.points[rows], inside_image=True)
     column, row = (pixels / cell).long().unbind(dim=-1)
     match = table[row.clamp(0, table.shape[0] - 1), column.clamp(0, table.shape[1] - 1)]

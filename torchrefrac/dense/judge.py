@@ -3,6 +3,7 @@
 import math
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.dense.options import DenseOptions
@@ -19,13 +20,13 @@ SYSTEMATIC = 0.03  # pixels: what interpolation and poses leave however good the
 def judge(
     scope: Scope,
     comparison: Comparison,
-    states: Tensor,
-    pixels: Tensor,
+    states: Float[Tensor, "n 3"],
+    pixels: Float[Tensor, "n 2"],
     rays: PixelRays,
-    contrast: Tensor,
+    contrast: Float[Tensor, " n"],
     options: DenseOptions,
-) -> tuple[Patches, Tensor]:
-    """Of k patches at `states` (k, 3), centred at pixels (k, 2) on `rays` (k), those to be believed and their numbers.
+) -> tuple[Patches, Int[Tensor, " k"]]:
+    """Of n patches at `states`, centred at pixels on `rays` (n), those to be believed and their numbers.
 
     Enough images must agree, the patch must face the camera, lie between near and far, and be determined: sigma times
     the motion in the other images stays below `max_sigma` pixels.
@@ -69,16 +70,21 @@ def fewest_others(scope: Scope, options: DenseOptions) -> int:
     return max(1, min(options.min_views - 1, scope.others))
 
 
-def plane_through(corners: Tensor) -> tuple[Tensor, Tensor]:
-    """A point of the plane through points (N, 3, 3), and its unit normal of either sign; both (N, 3)."""
+def plane_through(corners: Float[Tensor, "n 3 3"]) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
+    """A point of the plane through three points, and its unit normal of either sign."""
     normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return corners.mean(dim=1), torch.nn.functional.normalize(normal, dim=-1)
 
 
 def _sigma(
-    agreement: Agreement, visible: Tensor, score: Tensor, contrast: Tensor, window: Window, options: DenseOptions
-) -> tuple[Tensor, Tensor]:
-    """Standard deviation of the distances (k) from noise, and where the images determine all of a patch (k).
+    agreement: Agreement,
+    visible: Bool[Tensor, "n v"],
+    score: Float[Tensor, " n"],
+    contrast: Float[Tensor, " n"],
+    window: Window,
+    options: DenseOptions,
+) -> tuple[Float[Tensor, " n"], Bool[Tensor, " n"]]:
+    """Standard deviation of the distances from noise, and where the images determine all of a patch.
 
     The variance of the residuals f^ - g^, each sample's, is what is left of them, but at least what `noise` grey levels
     in both windows make. One half is the reference's own, which all images share: with the derivatives J_v of g^_v and
@@ -97,8 +103,8 @@ def _sigma(
     return (0.5 * torch.maximum(left, floor) * (of_distance[:, 0, 0] + shared)).sqrt(), exists
 
 
-def _footprint(corners: Tensor, sight: Tensor, window: Window) -> Tensor:
-    """How far one reference pixel reaches across the line of sight (k), from the corners' spread (k, 3, 3)."""
+def _footprint(corners: Float[Tensor, "n 3 3"], sight: Float[Tensor, "n 3"], window: Window) -> Float[Tensor, " n"]:
+    """How far one reference pixel reaches across the line of sight, from the corners' spread."""
     spread = corners - corners.mean(dim=1, keepdim=True)
     across = spread - (spread * sight[:, None]).sum(dim=-1, keepdim=True) * sight[:, None]
     return across.square().sum(dim=-1).mean(dim=-1).sqrt() / window.radius

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -27,37 +28,35 @@ TINY = 1e-6  # squared norm of a window without any texture
 
 
 class Agreement(NamedTuple):
-    """zncc (N, V) and where it means something (N, V); gradient (N, V, 3), hessian (N, V, 3, 3) of c = 1 - ZNCC; motion
-    (N, V): pixels by which the patch moves in the image per unit of its distance; rows (N, V, 3, K), where asked for:
-    derivatives of g^, each state's."""
+    """ZNCC, and where it is usable; gradient and Hessian of c = 1 - ZNCC; motion: pixels by which the patch moves in
+    the image per unit of its distance; rows, where asked for: derivatives of g^, each state's."""
 
-    zncc: Tensor
-    usable: Tensor
-    motion: Tensor
-    gradient: Tensor
-    hessian: Tensor
-    rows: Tensor | None
+    zncc: Float[Tensor, "n v"]
+    usable: Bool[Tensor, "n v"]
+    motion: Float[Tensor, "n v"]
+    gradient: Float[Tensor, "n v 3"]
+    hessian: Float[Tensor, "n v 3 3"]
+    rows: Float[Tensor, "n v 3 samples"] | None
 
 
 class Comparison(NamedTuple):
-    """What N patches are compared with; nothing here changes while they are refined.
+    """What n patches are compared with; nothing here changes while they are refined.
 
-    rays (N, 3): those of the window's three corners; reference (N, K): unit vectors f^; image, level (N, V): other
-    images of the atlas, and which of their copies; cameras (N, V, 1): theirs; present (N, V): which of these are to
-    be looked at.
+    rays (n, 3): those of the window's three corners; reference: unit vectors f^; image, level: other images of the
+    atlas, and which of their copies; cameras (n, v, 1): theirs; present: which of these are to be looked at.
     """
 
     atlas: Atlas
     window: Window
     cameras: RefractiveCamera
     rays: PixelRays
-    reference: Tensor
-    image: Tensor
-    level: Tensor
-    present: Tensor
+    reference: Float[Tensor, "n samples"]
+    image: Int[Tensor, "n v"]
+    level: Int[Tensor, "n v"]
+    present: Bool[Tensor, "n v"]
     tau: float
 
-    def subset(self, rows: Tensor) -> "Comparison":
+    def subset(self, rows: Int[Tensor, " k"]) -> "Comparison":
         """Some of the patches."""
         return self._replace(
             cameras=self.cameras[rows],
@@ -68,11 +67,11 @@ class Comparison(NamedTuple):
             present=self.present[rows],
         )
 
-    def corners(self, states: Tensor) -> Tensor:
-        """Points (N, 3, 3) of the three corners at states (N, 3)."""
+    def corners(self, states: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
+        """The three corners of each patch in the world."""
         return self.rays.at(states @ self.window.basis.to(states).T)
 
-    def at_matching_levels(self, states: Tensor, min_scale: float) -> "Comparison":
+    def at_matching_levels(self, states: Float[Tensor, "n 3"], min_scale: float) -> "Comparison":
         """With the copies of the other images that show the patches about as large as the reference does.
 
         An image that shows one at less than `min_scale` of the reference's size is no longer present.
@@ -82,8 +81,8 @@ class Comparison(NamedTuple):
         level = torch.log2(scale.clamp(min=1.0)).round().long().clamp(max=self.atlas.levels - 1)
         return self._replace(level=level, present=self.present & (scale >= min_scale))
 
-    def linearize(self, states: Tensor) -> Quadratic:
-        """Costs, gradients and Gauss-Newton Hessians at states (N, 3): distance and two slopes."""
+    def linearize(self, states: Float[Tensor, "n 3"]) -> Quadratic:
+        """Costs, gradients and Gauss-Newton Hessians at states: distance and two slopes."""
         agreement = self.agreement(states)
         bad = 1.0 - agreement.zncc
         share = 1.0 / (1.0 + bad / self.tau)
@@ -95,8 +94,8 @@ class Comparison(NamedTuple):
             (weight[..., None, None] * agreement.hessian).sum(dim=1).to(states),
         )
 
-    def agreement(self, states: Tensor, with_rows: bool = False) -> Agreement:
-        """ZNCC of the patches at states (N, 3) in each image and its derivatives, exact for the sampled images."""
+    def agreement(self, states: Float[Tensor, "n 3"], with_rows: bool = False) -> Agreement:
+        """ZNCC of the patches at states in each image and its derivatives, exact for the sampled images."""
         shape = self.image.shape
         image, level = self.image.flatten(), self.level.flatten()
         basis, weights = self.window.basis.to(states), self.window.weights.to(self.reference)
@@ -131,19 +130,22 @@ class Comparison(NamedTuple):
             rows,
         )
 
-    def _project(self, states: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Pixels of the corners in each image (N, V, 3, 2), their derivatives in their own distances (N, V, 3, 2), and
-        which patches are seen (N, V)."""
+    def _project(
+        self, states: Float[Tensor, "n 3"]
+    ) -> tuple[Float[Tensor, "n v 3 2"], Float[Tensor, "n v 3 2"], Bool[Tensor, "n v"]]:
+        """Pixels of the corners in each image, their derivatives in their own distances, and which patches are seen."""
         distances = states @ self.window.basis.to(states).T
         points, direction = self.rays.at(distances)[:, None], self.rays.direction_at(distances)[:, None]
         pixels, along, valid = project_moving(self.cameras, points, direction)
         return pixels, along, valid.all(dim=-1)
 
 
-def unit_windows(atlas: Atlas, image: Tensor, level: Tensor, pixels: Tensor, window: Window) -> tuple[Tensor, Tensor]:
-    """Unit vectors f^ (N, K) of the windows around pixels (N, 2), and their standard deviations (N) in grey levels.
+def unit_windows(
+    atlas: Atlas, image: Int[Tensor, " n"], level: Int[Tensor, " n"], pixels: Float[Tensor, "n 2"], window: Window
+) -> tuple[Float[Tensor, "n samples"], Float[Tensor, " n"]]:
+    """Unit vectors f^ of the windows around pixels, and their standard deviations in grey levels.
 
-    Zero where a window does not lie inside its image, image (N), in the copy `level` (N).
+    Zero where a window does not lie inside its image, in the copy `level`.
     """
     at = pixels[:, None] + window.offsets.to(pixels)
     values = atlas.sample(image, level, at.to(atlas.sheet))
@@ -155,21 +157,21 @@ def unit_windows(atlas: Atlas, image: Tensor, level: Tensor, pixels: Tensor, win
 
 def patch_costs(
     cameras: RefractiveCamera,
-    images: Sequence[Tensor] | Atlas,
-    reference: Tensor,
-    pixels: Tensor,
-    states: Tensor,
-    others: Tensor,
+    images: Sequence[Float[Tensor, "_ _"]] | Atlas,
+    reference: Int[Tensor, " n"],
+    pixels: Float[Tensor, "n 2"],
+    states: Float[Tensor, "n 3"],
+    others: Int[Tensor, "n v"],
     window: Window | None = None,
     tau: float = 0.3,
-) -> Tensor:
-    """The costs (N) of patches, as plain differentiable operations: a loss for learning and for joint adjustment.
+) -> Float[Tensor, " n"]:
+    """The costs of patches, as plain differentiable operations: a loss for learning and for joint adjustment.
 
-    cameras (m) with their images, grey (h, w); reference (N) and others (N, V): indices of images; pixels (N, 2): of
-    the patches' centres in their reference images; states (N, 3): distance along the ray from the water surface, in the
-    length unit of the cameras, and how much it grows towards +x and +y over `window.radius` pixels. Differentiable in
-    all of the cameras (poses, lens, interface), the images, the pixels and the states. An image that does not see a
-    patch as a whole, or sees no texture there, costs a constant.
+    cameras (m) with their images, grey; reference and others: indices of images; pixels: of the patches' centres in
+    their reference images; states: distance along the ray from the water surface, in the length unit of the cameras,
+    and how much it grows towards +x and +y over `window.radius` pixels. Differentiable in all of the cameras (poses,
+    intrinsics, interface), the images, the pixels and the states. An image that does not see a patch as a whole, or
+    sees no texture there, costs a constant.
     """
     window = Window() if window is None else window
     atlas = images if isinstance(images, Atlas) else Atlas.build(images, levels=1)
@@ -190,7 +192,7 @@ def patch_costs(
     return (bad / (1.0 + bad / tau)).sum(dim=-1)
 
 
-def _area(corners: Tensor) -> Tensor:
-    """Twice the signed area of triangles (*B, 3, 2)."""
+def _area(corners: Float[Tensor, "*batch 3 2"]) -> Float[Tensor, "*batch"]:
+    """Twice the signed area of triangles."""
     a, b = corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :]
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

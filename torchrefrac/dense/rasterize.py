@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from torchrefrac.dense.upper_surface import fill_small_holes, upper_surface
-from torchrefrac.scene import Raster
-from torchrefrac.scene.dense import DenseCloud
+from torchrefrac.scene import DenseCloud, Raster
 
 MOST_CELLS = 50_000_000
 SAMPLE, NEIGHBOURS, CELLS_A_SPACING = 20_000, 8, 1.5
@@ -55,8 +55,8 @@ def rasterize(cloud: DenseCloud, cell_size: float | None = None) -> Raster:
     return _raster(cloud, framed, (rows, columns), (x_west, y_north), cell_size)
 
 
-def point_spacing(points: Tensor) -> float:
-    """The typical horizontal spacing of points (n, 3): the side of the square that each has to itself.
+def point_spacing(points: Float[Tensor, "n 3"]) -> float:
+    """The typical horizontal spacing of points: the side of the square that each has to itself.
 
     From the median distance d to the eighth nearest neighbour, of at most 20,000 of the points: the circle of radius d
     holds eight, whether they lie on a grid or by chance. Zero where there are no two points apart.
@@ -72,24 +72,24 @@ def point_spacing(points: Tensor) -> float:
     return float(np.median(distance[:, -1])) * math.sqrt(math.pi / neighbours)
 
 
-def _near(points: Tensor) -> Tensor:
-    """Mask (n): which points are finite and not far outside of where nearly all lie."""
+def _near(points: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
+    """Which points are finite and not far outside of where nearly all lie."""
     near = points.isfinite().all(dim=-1)
     if not near.any():
         return near
     for values in (points[:, 0], points[:, 1]):
-        kept = values[near]
-        tail = math.floor(TAIL * len(kept))
-        low, high = kept.kthvalue(tail + 1).values, kept.kthvalue(len(kept) - tail).values
+        inliers = values[near]
+        tail = math.floor(TAIL * len(inliers))
+        low, high = inliers.kthvalue(tail + 1).values, inliers.kthvalue(len(inliers) - tail).values
         margin = STRAY * (high - low)
         near = near & (values >= low - margin) & (values <= high + margin)
     return near
 
 
 def _raster(
-    cloud: DenseCloud, cell: Tensor, shape: tuple[int, int], corner: tuple[float, float], cell_size: float
+    cloud: DenseCloud, cell: Int[Tensor, " n"], shape: tuple[int, int], corner: tuple[float, float], cell_size: float
 ) -> Raster:
-    """The raster of points that lie in these cells (n), counted in a grid with a frame of one empty cell around it."""
+    """The raster of points that lie in these cells, counted in a grid with a frame of one empty cell around it."""
     framed = (shape[0] + 2, shape[1] + 2)
     size = framed[0] * framed[1]
     vectors, counts = cloud.points.new_zeros(5, size), cell.new_zeros(size)
@@ -99,7 +99,7 @@ def _raster(
         counts[occupied] = members
     filled = fill_small_holes(vectors, counts > 0, framed)
 
-    def inner(grid: Tensor) -> Tensor:
+    def inner(grid: Shaped[Tensor, " size"]) -> Shaped[Tensor, "rows columns"]:
         return grid.unflatten(0, framed)[1:-1, 1:-1].contiguous()
 
     return Raster(

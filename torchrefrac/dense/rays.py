@@ -1,8 +1,9 @@
 """What a pixel looks along: a ray that is bent at the water, and may end before or after it."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera, projection_parts
@@ -11,18 +12,18 @@ from torchrefrac.camera import RefractiveCamera, projection_parts
 class PixelRays(NamedTuple):
     """Rays (*B) parametrised by one signed distance: 0 at the water, positive beyond it, negative on the camera's side.
 
-    entry, origin (*B, 3): where the ray meets the first surface, and where it enters the last medium, the same point of
-    a water surface; before, after (*B, 3): unit directions on either side. Nothing lies within a wall between the two.
+    entry, origin: where the ray meets the first surface, and where it enters the last medium, the same point of
+    a water surface; before, after: unit directions on either side. Nothing lies within a wall between the two.
     """
 
-    entry: Tensor
-    origin: Tensor
-    before: Tensor
-    after: Tensor
+    entry: Float[Tensor, "*batch 3"]
+    origin: Float[Tensor, "*batch 3"]
+    before: Float[Tensor, "*batch 3"]
+    after: Float[Tensor, "*batch 3"]
 
     @classmethod
-    def cast(cls, camera: RefractiveCamera, pixels: Tensor) -> "PixelRays":
-        """Those of pixels (*B, 2). A ray that never meets the water is straight and starts at the centre."""
+    def cast(cls, camera: RefractiveCamera, pixels: Float[Tensor, "*batch 2"]) -> "PixelRays":
+        """Those of pixels. A ray that never meets the water is straight and starts at the centre."""
         origin, before, after, valid = camera.follow_rays(pixels)
         entry = origin
         if len(camera.interface.indices) > 2:  # a wall
@@ -33,18 +34,18 @@ class PixelRays(NamedTuple):
             entry = torch.where(valid[..., None], center + way[..., None] * before, origin)
         return cls(entry, origin, before, after)
 
-    def at(self, distance: Tensor) -> Tensor:
-        """Points (*B, 3) at distances (*B)."""
+    def at(self, distance: Float[Tensor, "*given"]) -> Float[Tensor, "*batch 3"]:
+        """Points at distances, which broadcast against the rays."""
         nearer = (distance < 0)[..., None]
         start = self.origin if self.entry is self.origin else torch.where(nearer, self.entry, self.origin)
         return start + distance[..., None] * torch.where(nearer, self.before, self.after)
 
-    def direction_at(self, distance: Tensor) -> Tensor:
-        """Derivatives (*B, 3) of `at`."""
+    def direction_at(self, distance: Float[Tensor, "*given"]) -> Float[Tensor, "*batch 3"]:
+        """Derivatives of `at`."""
         return torch.where((distance < 0)[..., None], self.before, self.after)
 
-    def meet(self, point: Tensor, normal: Tensor) -> Tensor:
-        """Distances (*B) at which the rays meet the plane through `point` (*B, 3) with `normal` (*B, 3).
+    def meet(self, point: Float[Tensor, "*#plane 3"], normal: Float[Tensor, "*#plane 3"]) -> Float[Tensor, "*batch"]:
+        """Distances at which the rays meet the plane through `point` with `normal`.
 
         A ray that meets it on the camera's side is met there. Infinite or far where a ray runs along the plane.
         """
@@ -52,21 +53,24 @@ class PixelRays(NamedTuple):
         here = ((point - self.entry) * normal).sum(dim=-1) / (self.before * normal).sum(dim=-1)
         return torch.where(here < 0, here, beyond)
 
-    def distance_of(self, points: Tensor) -> Tensor:
-        """Distances (*B) of the points of the rays that are nearest to `points` (*B, 3)."""
+    def distance_of(self, points: Float[Tensor, "*given 3"]) -> Float[Tensor, "*batch"]:
+        """Distances of the points of the rays that are nearest to `points`."""
         beyond = ((points - self.origin) * self.after).sum(dim=-1)
         here = ((points - self.entry) * self.before).sum(dim=-1)
         return torch.where((beyond < 0) | (here < 0), here.clamp(max=0.0), beyond)
 
-    def __getitem__(self, index: Tensor | tuple[Tensor | slice | None, ...]) -> "PixelRays":  # type: ignore[override]
+    def __getitem__(self, index: Any) -> "PixelRays":
+        """Some of them, as one indexes a tensor (*batch)."""
         origin = self.origin[index]
         entry = origin if self.entry is self.origin else self.entry[index]
         return PixelRays(entry, origin, self.before[index], self.after[index])
 
 
-def project_moving(camera: RefractiveCamera, points: Tensor, direction: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Pixels (*B, 2) of points (*B, 3), their derivatives (*B, 2) as the points move along `direction` (*B, 3), and
-    which the camera sees (*B). In closed form, for cameras (*B)."""
+def project_moving(
+    camera: RefractiveCamera, points: Float[Tensor, "*#batch 3"], direction: Float[Tensor, "*#batch 3"]
+) -> tuple[Float[Tensor, "*seen 2"], Float[Tensor, "*seen 2"], Bool[Tensor, "*seen"]]:
+    """Pixels of points, their derivatives as the points move along `direction`, and which the camera sees. In closed
+    form, for cameras that broadcast against the points."""
     (u, v), valid, by = projection_parts(
         camera.intrinsics, camera.cam_from_world_rotation, camera.center_in_world, points, camera.interface, ("point",)
     )
@@ -75,6 +79,6 @@ def project_moving(camera: RefractiveCamera, points: Tensor, direction: Tensor) 
     return torch.stack((u, v), dim=-1), along, valid
 
 
-def depth_in(camera: RefractiveCamera, points: Tensor) -> Tensor:
-    """z (k) of points (k, 3) in the frame of a single camera: true depths, not the apparent ones."""
+def depth_in(camera: RefractiveCamera, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
+    """z of points in the frame of a single camera: true depths, not the apparent ones."""
     return ((points - camera.center_in_world) * camera.cam_from_world_rotation[2]).sum(dim=-1)

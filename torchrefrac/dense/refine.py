@@ -1,8 +1,9 @@
 """From a guess to a patch: which images to compare with, and the photometric adjustment."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.dense.judge import fewest_others, judge
@@ -22,39 +23,41 @@ MIN_SCALE = 0.4  # of an image against the reference: one that shows the surface
 
 
 class Planes(NamedTuple):
-    """Guesses of N patches: points and normals (N, 3) in the world frame; the normals of any length and either sign."""
+    """Guesses of patches, in the world frame; the normals of any length and either sign."""
 
-    points: Tensor
-    normals: Tensor
+    points: Float[Tensor, "n 3"]
+    normals: Float[Tensor, "n 3"]
 
-    def __getitem__(self, rows: Tensor | slice) -> "Planes":  # type: ignore[override]
+    def __getitem__(self, rows: Any) -> "Planes":
+        """Some of them, as one indexes a tensor."""
         return Planes(self.points[rows], self.normals[rows])
 
 
 class Subjects(NamedTuple):
     """What is known of k patches before they are adjusted.
 
-    pixels (k, 2) in the reference; rays (k) through them; planes (k); reference (k, K): unit vectors of their windows;
-    contrast (k) of these, in grey levels; image (k, V): local images to compare with, and which of them will do:
-    present (k, V).
+    pixels in the reference; rays (k) through them; planes (k); reference: unit vectors of their windows; contrast of
+    these, in grey levels; image: local images to compare with, and which of them will do: present.
     """
 
-    pixels: Tensor
+    pixels: Float[Tensor, "k 2"]
     rays: PixelRays
     planes: Planes
-    reference: Tensor
-    contrast: Tensor
-    image: Tensor
-    present: Tensor
+    reference: Float[Tensor, "k samples"]
+    contrast: Float[Tensor, " k"]
+    image: Int[Tensor, "k v"]
+    present: Bool[Tensor, "k v"]
 
 
-def refine(scope: Scope, pixels: Tensor, planes: Planes, options: DenseOptions) -> tuple[Patches, Tensor]:
-    """Adjust patches centred at reference pixels (N, 2) from `planes` (N), in batches.
+def refine(
+    scope: Scope, pixels: Float[Tensor, "n 2"], planes: Planes, options: DenseOptions
+) -> tuple[Patches, Int[Tensor, " k"]]:
+    """Adjust patches centred at reference pixels from `planes` (n), in batches.
 
-    Returns those that are to be believed and which of the N they are. Guesses may be off by a pixel or two.
+    Returns those that are to be believed and which of the n they are. Guesses may be off by a pixel or two.
     """
 
-    def adjusted(rows: slice) -> tuple[Patches, Tensor]:
+    def adjusted(rows: slice) -> tuple[Patches, Int[Tensor, " b"]]:
         subjects, chosen = _choose(scope, pixels[rows], planes[rows], options)
         comparison, states = _adjust(scope, subjects, options)
         patches, good = judge(scope, comparison, states, subjects.pixels, subjects.rays, subjects.contrast, options)
@@ -68,8 +71,10 @@ def refine(scope: Scope, pixels: Tensor, planes: Planes, options: DenseOptions) 
     )
 
 
-def choose_views(scope: Scope, points: Tensor, options: DenseOptions) -> tuple[Tensor, Tensor]:
-    """For points (N, 3), the local images (N, V) to compare with, best first, and which of these will do (N, V).
+def choose_views(
+    scope: Scope, points: Float[Tensor, "n 3"], options: DenseOptions
+) -> tuple[Int[Tensor, "n v"], Bool[Tensor, "n v"]]:
+    """For points, the local images to compare with, best first, and which of these will do.
 
     One that sees the point within its image, at an angle near the best.
     """
@@ -89,8 +94,10 @@ def _batches(count: int, most: int) -> list[slice]:
     return [slice(part * count // parts, (part + 1) * count // parts) for part in range(parts)] if count else []
 
 
-def _choose(scope: Scope, pixels: Tensor, planes: Planes, options: DenseOptions) -> tuple[Subjects, Tensor]:
-    """Those of the N guesses that can be compared, with what is needed for it, and which of the N they are."""
+def _choose(
+    scope: Scope, pixels: Float[Tensor, "n 2"], planes: Planes, options: DenseOptions
+) -> tuple[Subjects, Int[Tensor, " k"]]:
+    """Those of the n guesses that can be compared, with what is needed for it, and which of the n they are."""
     here = torch.zeros(len(pixels), dtype=torch.long, device=scope.device)
     reference, contrast = unit_windows(scope.atlas, here, here, pixels, Window(options.window))
     rays = PixelRays.cast(scope.cameras[0], pixels)
@@ -103,14 +110,13 @@ def _choose(scope: Scope, pixels: Tensor, planes: Planes, options: DenseOptions)
     ).nonzero()[:, 0]
     image, present = choose_views(scope, rays[rows].at(distance[rows]), options)
     enough = (present.sum(dim=1) >= fewest_others(scope, options)).nonzero()[:, 0]
-    kept = rows[enough]
-    return Subjects(
-        pixels[kept], rays[kept], planes[kept], reference[kept], contrast[kept], image[enough], present[enough]
-    ), kept
+    rows = rows[enough]
+    subjects = (pixels[rows], rays[rows], planes[rows], reference[rows], contrast[rows])
+    return Subjects(*subjects, image[enough], present[enough]), rows
 
 
-def _adjust(scope: Scope, subjects: Subjects, options: DenseOptions) -> tuple[Comparison, Tensor]:
-    """The comparison of the patches, and the states (k, 3) that it led to."""
+def _adjust(scope: Scope, subjects: Subjects, options: DenseOptions) -> tuple[Comparison, Float[Tensor, "k 3"]]:
+    """The comparison of the patches, and the states that it led to."""
     window = Window(options.window)
     corners = PixelRays.cast(scope.cameras[0], subjects.pixels[:, None] + window.corners.to(subjects.pixels))
     distances = corners.meet(subjects.planes.points[:, None], subjects.planes.normals[:, None])

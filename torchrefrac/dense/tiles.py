@@ -22,7 +22,7 @@ def scopes(neighbourhood: Neighbourhood, images: Images, options: DenseOptions) 
     """The scopes of all tiles of the reference; one for the whole where it is small enough."""
     device, (height, width) = torch.device(options.device), images.size
     whole = max(width, height) <= options.max_tile
-    for tile in [(0, 0, width, height)] if whole else _tiles(width, height, options):
+    for tile in [(0, 0, width, height)] if whole else tile_boxes(width, height, options):
         boxes = [tile] * len(neighbourhood.ids) if whole else _boxes(neighbourhood, tile, options)
         seen = torch.tensor([box[2] > box[0] and box[3] > box[1] for box in boxes])
         if int(seen.sum()) < 2:
@@ -48,7 +48,7 @@ def scopes(neighbourhood: Neighbourhood, images: Images, options: DenseOptions) 
         )
 
 
-def _tiles(width: int, height: int, options: DenseOptions) -> Iterator[Box]:
+def tile_boxes(width: int, height: int, options: DenseOptions) -> Iterator[Box]:
     """Boxes of whole cells that cover the image."""
     step = max(options.max_tile // options.cell - OVERLAP, 1) * options.cell
     reach = OVERLAP * options.cell

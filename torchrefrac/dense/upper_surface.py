@@ -3,10 +3,11 @@
 import math
 
 import torch
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from torchrefrac.numerics.segments import segment_sum
-from torchrefrac.scene.dense import DenseCloud
+from torchrefrac.scene import DenseCloud
 
 SIGMAS, PART, ROUNDS = 3.0, 4, 4  # a surface is this thick, has at least 1 / PART of the support of the best one
 SHARPEST = 0.1  # no point counts as more exact than this part of the median sigma
@@ -14,18 +15,20 @@ HEIGHT_BITS = 34  # of a key, whose other bits are the cell
 OPPOSITE = ((0, 1), (1, 0), (1, 1), (1, -1))  # row and column of one of each two opposite neighbours of a cell
 
 
-def upper_surface(cloud: DenseCloud, cell: Tensor, width: int, cell_size: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Of the m cells with points: their numbers (m), height, sigma and colour (5, m), points in the mean (m).
+def upper_surface(
+    cloud: DenseCloud, cell: Int[Tensor, " n"], width: int, cell_size: float
+) -> tuple[Int[Tensor, " m"], Float[Tensor, "5 m"], Int[Tensor, " m"]]:
+    """Of the cells with points: their numbers; height, sigma and colour; how many points these are the mean of.
 
-    cell (n): of each point, in a grid `width` cells wide; see `rasterize` for what the upper surface is.
+    cell: of each point, in a grid `width` cells wide; see `rasterize` for what the upper surface is.
     """
     keys, order = _keys(cell, cloud.points[:, 2], cloud.points[:, 2]).sort()
     z, sigma, colors, cell = cloud.points[order, 2], cloud.sigma[order], cloud.colors[order], cell[order]
     occupied, segment, members = cell.unique_consecutive(return_inverse=True, return_counts=True)
     thickness = (SIGMAS * sigma).clamp(min=cell_size)
 
-    def support(rows: Tensor, offset: int, reach: Tensor) -> Tensor:
-        """How many points of the cell at this offset lie within reach (r) of the height of each of these points (r)."""
+    def support(rows: Int[Tensor, " r"], offset: int, reach: Float[Tensor, " r"]) -> Int[Tensor, " r"]:
+        """How many points of the cell at this offset lie within reach of the height of each of these points."""
         low, high = (_keys(cell[rows] + offset, z[rows] + side * reach, z) for side in (-1, 1))
         return torch.searchsorted(keys, high, right=True) - torch.searchsorted(keys, low)
 
@@ -57,20 +60,24 @@ def upper_surface(cloud: DenseCloud, cell: Tensor, width: int, cell_size: float)
     return occupied, torch.stack((level, torch.maximum(formal, scatter).sqrt(), *color.T)), count
 
 
-def _keys(cell: Tensor, z: Tensor, every_z: Tensor) -> Tensor:
-    """Whole numbers (n) that ascend with the cell, and within a cell with the height."""
+def _keys(cell: Int[Tensor, " n"], z: Float[Tensor, " n"], every_z: Float[Tensor, " all"]) -> Int[Tensor, " n"]:
+    """Whole numbers that ascend with the cell, and within a cell with the height."""
     low, high = every_z.min(), every_z.max()
     steps = torch.where(high > low, (2**HEIGHT_BITS - 1) / (high - low), 0.0)
     return (cell << HEIGHT_BITS) + ((z.clamp(low, high) - low) * steps).long()
 
 
-def _largest(values: Tensor, segment: Tensor, num_segments: int) -> Tensor:
-    """(num_segments): the largest of the values (n) of each segment, none of which is empty."""
+def _largest(
+    values: Shaped[Tensor, " n"], segment: Int[Tensor, " n"], num_segments: int
+) -> Shaped[Tensor, "{num_segments}"]:
+    """The largest of the values of each segment, none of which is empty."""
     return values.new_zeros(num_segments).scatter_reduce_(0, segment, values, "amax", include_self=False)
 
 
-def fill_small_holes(vectors: Tensor, valid: Tensor, framed: tuple[int, int]) -> Tensor:
-    """Interpolate small holes of height, sigma and colour (5, size) where they lie; which cells those are (size)."""
+def fill_small_holes(
+    vectors: Float[Tensor, "5 size"], valid: Bool[Tensor, " size"], framed: tuple[int, int]
+) -> Bool[Tensor, " size"]:
+    """Interpolate small holes of height, sigma and colour where they lie; which cells those are."""
     grid = valid.unflatten(0, framed)
     neighbours = torch.zeros_like(grid, dtype=torch.uint8)
     for row, column in OPPOSITE:
@@ -80,7 +87,7 @@ def fill_small_holes(vectors: Tensor, valid: Tensor, framed: tuple[int, int]) ->
     small[0], small[-1], small[:, 0], small[:, -1] = False, False, False, False
     hole = small.flatten().nonzero()[:, 0]
     total, pairs = vectors.new_zeros(5, len(hole)), vectors.new_zeros(len(hole))
-    for row, column in OPPOSITE:  # five of eight neighbours hold one opposite pair at least
+    for row, column in OPPOSITE:  # five of eight neighbours have one opposite pair at least
         one, other = hole + row * framed[1] + column, hole - row * framed[1] - column
         a, b = vectors[:, one], vectors[:, other]
         both = (a + b) / 2.0

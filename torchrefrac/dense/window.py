@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 CORNERS = 3
@@ -23,8 +24,8 @@ class Window:
     spacing: float = 1.0
 
     @cached_property
-    def offsets(self) -> Tensor:
-        """(K, 2) float64 in reference pixels (x, y), row by row."""
+    def offsets(self) -> Float[Tensor, "k 2"]:
+        """In reference pixels (x, y), row by row."""
         half = (self.size - 1) / 2
         steps = self.spacing * torch.linspace(-half, half, self.size, dtype=torch.float64)
         y, x = torch.meshgrid(steps, steps, indexing="ij")
@@ -36,27 +37,27 @@ class Window:
         return float(self.offsets.square().sum(dim=-1).mean().sqrt())
 
     @cached_property
-    def corners(self) -> Tensor:
-        """(3, 2) float64: where the three rays pierce the image, relative to the centre."""
+    def corners(self) -> Float[Tensor, "3 2"]:
+        """Where the three rays pierce the image, relative to the centre."""
         angle = 2.0 * math.pi * torch.arange(CORNERS, dtype=torch.float64) / CORNERS
         return self.radius * torch.stack((angle.cos(), angle.sin()), dim=-1)
 
     @cached_property
-    def weights(self) -> Tensor:
-        """(K, 3): each sample as the sum of the corners, so weighted; rows add up to 1."""
+    def weights(self) -> Float[Tensor, "k 3"]:
+        """Each sample as the sum of the corners, so weighted; rows add up to 1."""
         return (1.0 + 2.0 * (self.offsets @ self.corners.T) / self.radius**2) / CORNERS
 
     @cached_property
-    def places(self) -> Tensor:
-        """(6, 2 K): takes the corners' pixels (3, 2), row by row, to those of all samples (K, 2)."""
+    def places(self) -> Float[Tensor, "6 pixels"]:
+        """What takes the corners' pixels (3, 2), row by row, to those of all samples (k, 2)."""
         return torch.kron(self.weights, torch.eye(2, dtype=torch.float64)).T
 
     @cached_property
-    def outer(self) -> Tensor:
-        """(4, 3): `weights` of the window's four outermost samples."""
+    def outer(self) -> Float[Tensor, "4 3"]:
+        """`weights` of the window's four outermost samples."""
         return self.weights[[0, self.size - 1, self.size * (self.size - 1), self.size**2 - 1]]
 
     @cached_property
-    def basis(self) -> Tensor:
-        """(3, 3): the three distances from (distance, slope along x, slope along y), slopes over one radius."""
+    def basis(self) -> Float[Tensor, "3 3"]:
+        """The three distances from (distance, slope along x, slope along y), slopes over one radius."""
         return torch.cat((torch.ones(CORNERS, 1, dtype=torch.float64), self.corners / self.radius), dim=-1)

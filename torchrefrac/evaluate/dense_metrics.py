@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from torchrefrac.evaluate.metrics import rms
@@ -33,7 +34,11 @@ def summarize_dense(cloud: DenseCloud) -> Metrics:
 
 
 def evaluate_dense(
-    cloud: DenseCloud, truth: Truth, alignment: Similarity, seen: Tensor | None, within: Sequence[float] = WITHIN
+    cloud: DenseCloud,
+    truth: Truth,
+    alignment: Similarity,
+    seen: Float[Tensor, "k 3"] | None,
+    within: Sequence[float] = WITHIN,
 ) -> Metrics:
     """Errors of a dense cloud after `alignment`, which maps its frame to that of the truth.
 
@@ -41,7 +46,7 @@ def evaluate_dense(
 
     - dense_accuracy_within_T_UNIT: share (0 to 1) of the points that lie nearer than T to the true surface: the mesh of
       the truth, or its rectangles where it has none;
-    - dense_completeness_within_T_UNIT: share of `seen` (k, 3), true surface points in the truth's frame that should be
+    - dense_completeness_within_T_UNIT: share of `seen`, true surface points in the truth's frame that should be
       there (see `textured_points`), with a point of the cloud nearer than T;
     - dense_surface_median_UNIT, dense_surface_p95_UNIT: of the distance to the nearest place of it;
     - dense_plane_rms_UNIT: RMS distance to the nearest true plane over the inliers, those within 3 robust standard
@@ -71,8 +76,8 @@ def evaluate_dense(
     return metrics
 
 
-def signed_plane_distance(points: Tensor, truth: Truth) -> tuple[Tensor, Tensor]:
-    """Distance (N) of points (N, 3) to the plane of the nearest true rectangle, and that rectangle's index (N).
+def signed_plane_distance(points: Float[Tensor, "n 3"], truth: Truth) -> tuple[Float[Tensor, " n"], Int[Tensor, " n"]]:
+    """Distance of points to the plane of the nearest true rectangle, and that rectangle's index.
 
     Positive above the plane, on the side of its normal that points up (of a vertical plane, of its normal as it is).
     The plane goes on beyond its rectangle here: an error along a surface does not count, as it is none across it.
@@ -87,14 +92,14 @@ def signed_plane_distance(points: Tensor, truth: Truth) -> tuple[Tensor, Tensor]
 
 def textured_points(
     truth_points: TruthPoints,
-    images: Sequence[Tensor],
+    images: Sequence[Shaped[Tensor, "height width"]],
     min_views: int = 3,
     min_contrast: float = 2.0,
     window: int = 11,
-) -> Tensor:
-    """True points (k, 3) that a reconstruction should contain: seen by `min_views` images and textured.
+) -> Float[Tensor, "k 3"]:
+    """True points that a reconstruction should contain: seen by `min_views` images and textured.
 
-    images: grey values (H, W) from 0 to 255, one for each name of `truth_points`. A point is textured where the grey
+    images: grey values from 0 to 255, one for each name of `truth_points`. A point is textured where the grey
     values of the window x window pixels around its pixel, in the image it belongs to, have a standard deviation of at
     least min_contrast. Another image sees it too where one of that image's own true points lies within 1.5 times the
     distance between neighbouring ones there: this asks no camera model. A place may come from several images.
@@ -113,8 +118,8 @@ def textured_points(
     return torch.from_numpy(np.concatenate([p[v >= min_views] for p, v in zip(points, views, strict=True)]))
 
 
-def _plane_metrics(points: Tensor, sigma: Tensor, truth: Truth) -> Metrics:
-    """Of points (N, 3) in the truth's frame, with their standard deviations (N)."""
+def _plane_metrics(points: Float[Tensor, "n 3"], sigma: Float[Tensor, " n"], truth: Truth) -> Metrics:
+    """Of points in the truth's frame, with their standard deviations."""
     signed, plane = signed_plane_distance(points, truth)
     size = signed.abs()
     inlier = size <= INLIER_SIGMAS * MAD_TO_SIGMA * _quantile(size, 0.5)
@@ -130,8 +135,10 @@ def _plane_metrics(points: Tensor, sigma: Tensor, truth: Truth) -> Metrics:
     return metrics
 
 
-def _distance_to_nearest(queries: Tensor, points: Tensor, reach: float) -> Tensor:
-    """Distance (k) of queries (k, 3) to the nearest of points (n, 3); infinite beyond `reach`."""
+def _distance_to_nearest(
+    queries: Float[Tensor, "k 3"], points: Float[Tensor, "n 3"], reach: float
+) -> Float[Tensor, " k"]:
+    """Distance of queries to the nearest of points; infinite beyond `reach`."""
     from scipy.spatial import KDTree  # noqa: PLC0415 - slow to import
 
     tree = KDTree(points.cpu().numpy(), balanced_tree=False, compact_nodes=False)
@@ -139,8 +146,10 @@ def _distance_to_nearest(queries: Tensor, points: Tensor, reach: float) -> Tenso
     return torch.from_numpy(np.asarray(gap))
 
 
-def _contrast(image: Tensor, pixels: Tensor, window: int) -> Tensor:
-    """Standard deviation (h, w) of an image (H, W) in the window around each of pixels (h, w, 2), cut at the border."""
+def _contrast(
+    image: Shaped[Tensor, "height width"], pixels: Float[Tensor, "h w 2"], window: int
+) -> Float[Tensor, "h w"]:
+    """Standard deviation of an image in the window around each of the pixels, cut at the border."""
     column, row = pixels.floor().long().unbind(dim=-1)
     height, width = image.shape
     if pixels.min() < 0 or column.max() >= width or row.max() >= height:
@@ -152,16 +161,18 @@ def _contrast(image: Tensor, pixels: Tensor, window: int) -> Tensor:
     return (square - mean.square()).clamp(min=0.0).sqrt()
 
 
-def _window_mean(image: Tensor, window: int) -> Tensor:
-    """Mean (H, W) over the pixels of the image that lie in the window around each."""
+def _window_mean(image: Float[Tensor, "h w"], window: int) -> Float[Tensor, "h w"]:
+    """Mean over the pixels of the image that lie in the window around each."""
     for kernel in ((window, 1), (1, window)):
         padding = (kernel[0] // 2, kernel[1] // 2)
         image = torch.nn.functional.avg_pool2d(image[None], kernel, 1, padding, count_include_pad=False)[0]
     return image
 
 
-def _count_views(points: Sequence[np.ndarray], truth_points: TruthPoints, enough: int) -> list[np.ndarray]:
-    """By how many images each of the points (k_i, 3) of image i is seen; counted no further than to `enough`."""
+def _count_views(
+    points: Sequence[Float[np.ndarray, "_ 3"]], truth_points: TruthPoints, enough: int
+) -> list[Int[np.ndarray, " _"]]:
+    """By how many images each of the points of image i is seen; counted no further than to `enough`."""
     from scipy.spatial import KDTree  # noqa: PLC0415 - slow to import
 
     entries = [table[valid].numpy() for table, valid in zip(truth_points.points, truth_points.valid, strict=True)]
@@ -181,8 +192,8 @@ def _count_views(points: Sequence[np.ndarray], truth_points: TruthPoints, enough
     return views
 
 
-def _spacing(points: Tensor, valid: Tensor) -> Tensor:
-    """Distance (h, w) between neighbouring points (h, w, 3) of a grid; 0 where a point has no neighbour.
+def _spacing(points: Float[Tensor, "h w 3"], valid: Bool[Tensor, "h w"]) -> Float[Tensor, "h w"]:
+    """Distance between neighbouring points of a grid; 0 where a point has no neighbour.
 
     The longer of two: that to the nearer neighbour in the row, and that to the nearer one in the column.
     """
@@ -191,14 +202,14 @@ def _spacing(points: Tensor, valid: Tensor) -> Tensor:
     return torch.maximum(*(torch.where(gap.isfinite(), gap, 0.0) for gap in (in_row, in_column)))
 
 
-def _to_nearer_neighbour(points: Tensor, valid: Tensor) -> Tensor:
-    """Distance (h, w) of points (h, w, 3) to the nearer of their two neighbours in the row; infinite without one."""
+def _to_nearer_neighbour(points: Float[Tensor, "h w 3"], valid: Bool[Tensor, "h w"]) -> Float[Tensor, "h w"]:
+    """Distance of points to the nearer of their two neighbours in the row; infinite without one."""
     gap = (points[:, 1:] - points[:, :-1]).norm(dim=-1)
     gap = torch.where(valid[:, 1:] & valid[:, :-1], gap, torch.inf)
     padded = torch.nn.functional.pad(gap, (1, 1), value=torch.inf)
     return torch.minimum(padded[:, 1:], padded[:, :-1])
 
 
-def _quantile(values: Tensor, share: float) -> float:
+def _quantile(values: Float[Tensor, " n"], share: float) -> float:
     """`Tensor.quantile` refuses more than 16 million values."""
     return float(np.quantile(values.cpu().numpy(), share))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 if TYPE_CHECKING:
@@ -19,18 +20,18 @@ PAIRS = 1 << 18  # of a point and a piece, at a time
 
 @dataclass(frozen=True, eq=False)
 class MeshDistance:
-    """Triangles `corners` (f, 3, 3), and pieces of them: `owner` (p) is the triangle of each, `normal` (p, 3) its unit
-    normal; `tree` holds their centroids, and no place of a piece is farther than its `radius` (p) from its centroid."""
+    """Triangles `corners`, and pieces of them: `owner` is the triangle of each, `normal` its unit normal; `tree` holds
+    their centroids, and no place of a piece is farther than its `radius` from its centroid."""
 
-    corners: np.ndarray
-    owner: np.ndarray
-    normal: np.ndarray
-    radius: np.ndarray
+    corners: Float[np.ndarray, "f 3 3"]
+    owner: Int[np.ndarray, " p"]
+    normal: Float[np.ndarray, "p 3"]
+    radius: Float[np.ndarray, " p"]
     tree: "KDTree"
 
     @classmethod
-    def of(cls, vertices: Tensor, faces: Tensor) -> "MeshDistance":
-        """Cut the triangles of vertices (v, 3) and faces (f, 3) into pieces of a similar size, so that near a point lie
+    def of(cls, vertices: Float[Tensor, "v 3"], faces: Int[Tensor, "f 3"]) -> "MeshDistance":
+        """Cut the triangles into pieces of a similar size, so that near a point lie
         the centroids of what is near it. Triangles without an area do not count. Raises ValueError where none has one.
         """
         from scipy.spatial import KDTree  # noqa: PLC0415 - slow to import
@@ -52,8 +53,8 @@ class MeshDistance:
         """The largest radius."""
         return float(self.radius.max())
 
-    def distance(self, points: Tensor) -> Tensor:
-        """Distance (N) of points (N, 3) to the nearest triangle.
+    def distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        """Distance of points to the nearest triangle.
 
         More and more pieces are looked at, until no other one can be nearer: exact for points nearer to the surface
         than some ten times `reach`. For those farther away the search ends before that is certain. It may then miss
@@ -69,7 +70,13 @@ class MeshDistance:
             left, seen = np.concatenate(open_), upto
         return torch.from_numpy(best)
 
-    def _look(self, queries: np.ndarray, best: np.ndarray, rows: np.ndarray, ranks: np.ndarray) -> np.ndarray:
+    def _look(
+        self,
+        queries: Float[np.ndarray, "n 3"],
+        best: Float[np.ndarray, " n"],
+        rows: Int[np.ndarray, " q"],
+        ranks: Int[np.ndarray, " k"],
+    ) -> Bool[np.ndarray, " q"]:
         """Lower `best` at `rows` by the pieces of these ranks; for which rows others could still be nearer."""
         from trimesh.triangles import closest_point  # noqa: PLC0415 - slow to import
 
@@ -83,15 +90,19 @@ class MeshDistance:
         np.minimum.at(best, rows[row[chosen]], np.linalg.norm(found - near, axis=-1))
         return gap[:, -1] - self.reach < best[rows]
 
-    def _distance_to_discs(self, points: np.ndarray, gap: np.ndarray, piece: np.ndarray) -> np.ndarray:
-        """From points (q, 3), `gap` (q) away from the centroids of pieces (q), to the discs that the pieces lie in."""
+    def _distance_to_discs(
+        self, points: Float[np.ndarray, "q 3"], gap: Float[np.ndarray, " q"], piece: Int[np.ndarray, " q"]
+    ) -> Float[np.ndarray, " q"]:
+        """From points, `gap` away from the centroids of pieces, to the discs that the pieces lie in."""
         height = ((points - self.tree.data[piece]) * self.normal[piece]).sum(axis=-1)
         aside = np.sqrt(np.maximum(gap * gap - height * height, 0.0)) - self.radius[piece]
         return np.hypot(height, np.maximum(aside, 0.0))
 
 
-def _cut(corners: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pieces (p, 3, 3) of triangles (f, 3, 3), and which triangle each is of: the longest edge is halved until none is
+def _cut(
+    corners: Float[np.ndarray, "f 3 3"], longest: float
+) -> tuple[Float[np.ndarray, "p 3 3"], Int[np.ndarray, " p"]]:
+    """Pieces of triangles, and which triangle each is of: the longest edge is halved until none is
     longer than `longest`, or the pieces would be too many."""
     pieces, owner, done = corners, np.arange(len(corners)), []
     count = len(corners)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -11,22 +12,22 @@ from torchrefrac.evaluate.true_surface import TrueSurface
 from torchrefrac.geometry import Similarity
 from torchrefrac.numerics.segments import segment_sum
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.scene import Reconstruction
+from torchrefrac.scene import Scene
 
 WORST = 20  # one in so many, the worst, takes no part in an RMS
 MIN_POINTS = 10  # of a plane whose flatness counts
 
 
 class TruePlaces(NamedTuple):
-    """Of the n points of a reconstruction: where they truly are, points (n, 3); the index (n) of the true plane that
-    more than half of their observations see, -1 where there is none; and whether any is known (n)."""
+    """Where the points of a scene truly are; the index of the true plane that more than half of their observations see,
+    -1 where there is none; and whether any is known."""
 
-    points: Tensor
-    plane: Tensor
-    known: Tensor
+    points: Float[Tensor, "n 3"]
+    plane: Int[Tensor, " n"]
+    known: Bool[Tensor, " n"]
 
 
-def point_metrics(reconstruction: Reconstruction, surface: TrueSurface, alignment: Similarity) -> dict[str, float]:
+def point_metrics(scene: Scene, surface: TrueSurface, alignment: Similarity) -> dict[str, float]:
     """Figures of points after `alignment`, which maps their frame to that of the truth; see `true_places`.
 
     With UNIT the truth's length unit:
@@ -35,12 +36,12 @@ def point_metrics(reconstruction: Reconstruction, surface: TrueSurface, alignmen
       the 5 % with the largest;
     - flatness_UNIT: how far points depart from their shape, wherever they are: see `flatness`.
 
-    What is not defined is left out: without a true surface, index ratio and lens, or points whose place is known.
+    What is not defined is left out: without a true surface, index ratio and intrinsics, or points whose place is known.
     """
-    places = true_places(reconstruction, surface)
+    places = true_places(scene, surface)
     if places is None or not bool(places.known.any()):
         return {}
-    points, unit = alignment.apply(reconstruction.points), surface.truth.length_unit
+    points, unit = alignment.apply(scene.points), surface.truth.length_unit
     error = (points - places.points).norm(dim=-1)[places.known]
     metrics = {
         f"point_median_{unit}": float(error.median()),
@@ -50,29 +51,29 @@ def point_metrics(reconstruction: Reconstruction, surface: TrueSurface, alignmen
     return metrics if bend is None else metrics | {f"flatness_{unit}": bend}
 
 
-def true_places(reconstruction: Reconstruction, surface: TrueSurface) -> TruePlaces | None:
-    """Where the points of a reconstruction truly are; None where the truth does not tell.
+def true_places(scene: Scene, surface: TrueSurface) -> TruePlaces | None:
+    """Where the points of a finished scene truly are; None where the truth does not tell.
 
-    The pixel of each observation is cast through the true camera (pose, lens, water) onto the true surface. The true
-    place of a point is the median, component by component, over its observations in registered images: a wrong match in
-    one of three and more does not move it, and where there are only two, the point's error tells of it. No nearness
-    takes part: this holds for reconstructions that are bent by whatever amount. A point none of whose observations
-    meets the surface has no place. None without a true index ratio or lens, or for photographs of another size.
+    The pixel of each observation is cast through the true camera (pose, intrinsics, water) onto the true surface. The
+    true place of a point is the median, component by component, over its observations in registered images: a wrong
+    match in one of three and more does not move it, and where there are only two, the point's error tells of it. No
+    nearness takes part: this holds for scenes that are bent by whatever amount. A point none of whose observations
+    meets the surface has no place. None without a true index ratio or intrinsics, or for photographs of another size.
     """
-    truth, lens, images = surface.truth, surface.truth.intrinsics, reconstruction.names
-    if lens is None or truth.index_ratio is None or not surface.is_known:
+    truth, intrinsics, views = surface.truth, surface.truth.intrinsics, scene.views
+    if intrinsics is None or truth.index_ratio is None or not surface.is_known:
         return None
-    if (lens.width, lens.height) != (reconstruction.intrinsics.width, reconstruction.intrinsics.height):
+    if {(intrinsics.width, intrinsics.height)} != set(scene.cameras.sizes):
         return None
     number = {name: i for i, name in enumerate(truth.names)}
-    theirs = torch.tensor([number.get(name, -1) for name in images], dtype=torch.long)
-    theirs = torch.where(reconstruction.registered, theirs, -1)[reconstruction.image]
-    kept = theirs >= 0
-    theirs, point, count = theirs[kept], reconstruction.point[kept], len(reconstruction.points)
+    theirs = torch.tensor([number.get(name, -1) for name in views.names], dtype=torch.long)
+    theirs = torch.where(views.registered, theirs, -1)[scene.observations.view]
+    observed = scene.observations[theirs >= 0]
+    theirs, point, count = theirs[theirs >= 0], observed.point, len(scene.points)
     cameras = RefractiveCamera(
-        lens, truth.rotation[theirs], truth.center[theirs], FlatInterface(truth.index_ratio), check=False
+        intrinsics, truth.rotation[theirs], truth.center[theirs], FlatInterface(truth.index_ratio), check=False
     )
-    seen = surface.cast(cameras, reconstruction.pixels[kept])
+    seen = surface.cast(cameras, observed.pixels)
     point = point[seen.valid]
     views = torch.bincount(point, minlength=count)
     on_plane = seen.plane[seen.valid, None] == torch.arange(max(len(truth.corner), 1))
@@ -84,8 +85,8 @@ def true_places(reconstruction: Reconstruction, surface: TrueSurface) -> TruePla
     )
 
 
-def flatness(points: Tensor, places: TruePlaces, planes: int) -> float | None:
-    """RMS departure of points (n, 3), in the frame and the scale of the truth, from the shape they truly have.
+def flatness(points: Float[Tensor, "n 3"], places: TruePlaces, planes: int) -> float | None:
+    """RMS departure of points, in the frame and the scale of the truth, from the shape they truly have.
 
     With `planes` true ones: for each with at least 10 points whose true place lies on it, a plane is fitted to the
     points by total least squares, the 5 % that are farthest from it are left out, and a plane is fitted to the others;
@@ -98,17 +99,19 @@ def flatness(points: Tensor, places: TruePlaces, planes: int) -> float | None:
     """
     if planes:
         groups = [points[places.known & (places.plane == index)] for index in range(planes)]
-        distances = [_kept_distances(group, _plane_distance) for group in groups if len(group) >= MIN_POINTS]
+        distances = [_distances(group, _plane_distance) for group in groups if len(group) >= MIN_POINTS]
     else:
         ours, true = points[places.known], places.points[places.known]
         rows = torch.cat((true[:, :2], (ours - true)[:, 2:]), dim=-1)
-        distances = [_kept_distances(rows, _affine_distance)] if len(rows) >= MIN_POINTS else []
+        distances = [_distances(rows, _affine_distance)] if len(rows) >= MIN_POINTS else []
     return float(torch.cat(distances).square().mean().sqrt()) if distances else None
 
 
-def segment_median(values: Tensor, segment: Tensor, num_segments: int) -> Tensor:
-    """Median (num_segments, k), column by column, of the rows of values (N, k) that carry the same id in `segment` (N);
-    the mean of the middle two where they are even in number, zero where there are none."""
+def segment_median(
+    values: Float[Tensor, "n k"], segment: Int[Tensor, " n"], num_segments: int
+) -> Float[Tensor, "{num_segments} k"]:
+    """Median, column by column, of the rows of values that carry the same id in `segment`; the mean of the middle two
+    where they are even in number, zero where there are none."""
     count = torch.bincount(segment, minlength=num_segments)
     first = count.cumsum(0) - count
     has = count > 0
@@ -122,24 +125,27 @@ def segment_median(values: Tensor, segment: Tensor, num_segments: int) -> Tensor
     return median
 
 
-def _kept_distances(rows: Tensor, distance_to_fit: Callable[[Tensor], Tensor]) -> Tensor:
+def _distances(
+    rows: Float[Tensor, "n 3"], distance_to_fit: Callable[[Float[Tensor, "n 3"]], Float[Tensor, " n"]]
+) -> Float[Tensor, " m"]:
+    """To what is fitted to all but the worst, of these."""
     near = _all_but_the_worst(distance_to_fit(rows).abs())
     return distance_to_fit(rows[near])
 
 
-def _all_but_the_worst(errors: Tensor) -> Tensor:
-    """Rows of `errors` (n) without the largest of each twenty."""
+def _all_but_the_worst(errors: Float[Tensor, " n"]) -> Int[Tensor, " m"]:
+    """Rows of `errors` without the largest of each twenty."""
     return errors.argsort()[: len(errors) - len(errors) // WORST]
 
 
-def _plane_distance(points: Tensor) -> Tensor:
-    """Signed distances (n) of points (n, 3) to the plane that fits them best by total least squares."""
+def _plane_distance(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+    """Signed distances of points to the plane that fits them best by total least squares."""
     offset = points - points.mean(dim=0)
     return offset @ torch.linalg.eigh(offset.mT @ offset).eigenvectors[:, 0]
 
 
-def _affine_distance(rows: Tensor) -> Tensor:
-    """Of rows (n, 3) of x, y and an error: the error less its best affine function of x and y."""
+def _affine_distance(rows: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+    """Of rows of x, y and an error: the error less its best affine function of x and y."""
     offset = rows - rows.mean(dim=0)
     plan, error = offset[:, :2], offset[:, 2]
     return error - plan @ torch.linalg.lstsq(plan, error[:, None], driver="gelsd").solution[:, 0]

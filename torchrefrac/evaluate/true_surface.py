@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -16,12 +17,12 @@ TOLERANCE = 1e-6  # times the largest coordinate: single precision, in which fil
 
 
 class Seen(NamedTuple):
-    """points (N, 3), the index (N) int64 of the true plane each lies on, -1 where on none, and where there is a point
-    (N); elsewhere points are zero and the plane is -1."""
+    """Points, the index of the true plane each lies on, -1 where on none, and where there is a point; elsewhere points
+    are zero and the plane is -1."""
 
-    points: Tensor
-    plane: Tensor
-    valid: Tensor
+    points: Float[Tensor, "n 3"]
+    plane: Int[Tensor, " n"]
+    valid: Bool[Tensor, " n"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,8 @@ class TrueSurface:
         table = self.truth.corner if self.truth.surface is None else self.truth.surface.vertices
         return TOLERANCE * float(table.abs().max()) if table.numel() else 0.0
 
-    def cast(self, cameras: RefractiveCamera, pixels: Tensor) -> Seen:
-        """What cameras (N), with their true poses, lenses and water, see at pixels (N, 2).
+    def cast(self, cameras: RefractiveCamera, pixels: Float[Tensor, "n 2"]) -> Seen:
+        """What cameras, n in all, with their true poses, intrinsics and water, see at pixels.
 
         What a ray meets before the water is seen dry. A ray that meets nothing, or is totally reflected, sees nothing.
         """
@@ -62,8 +63,8 @@ class TrueSurface:
         plane = which if self.truth.surface is None else self._plane_of(points)
         return Seen(points, torch.where(valid, plane, -1), valid)
 
-    def distance(self, points: Tensor) -> Tensor:
-        """Distance (N) of points (N, 3) to the nearest place of the surface.
+    def distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        """Distance of points to the nearest place of the surface.
 
         That to a mesh is exact near it; see `MeshDistance.distance` for points that are far away. Raises ValueError
         where the truth has no surface.
@@ -72,8 +73,8 @@ class TrueSurface:
             raise ValueError("truth has neither planes nor a surface, but a distance needs one of them")
         return distance_to_rectangles(points, self.truth) if self._mesh is None else self._mesh.distance(points)
 
-    def nearest_is_plane(self, points: Tensor, distance: Tensor) -> Tensor:
-        """Whether (N) the nearest place of the surface, `distance` (N) from points (N, 3), is on one of the planes."""
+    def nearest_is_plane(self, points: Float[Tensor, "n 3"], distance: Float[Tensor, " n"]) -> Bool[Tensor, " n"]:
+        """Whether the nearest place of the surface, `distance` from points, is on one of the planes."""
         if self.truth.surface is None or not len(self.truth.corner):
             return torch.full(points.shape[:1], len(self.truth.corner) > 0, device=points.device)
         return distance_to_rectangles(points, self.truth) <= distance + self.tolerance
@@ -95,20 +96,20 @@ class TrueSurface:
         mesh = self.truth.surface
         return None if mesh is None else MeshDistance.of(mesh.vertices, mesh.faces)
 
-    def _plane_of(self, points: Tensor) -> Tensor:
+    def _plane_of(self, points: Float[Tensor, "n 3"]) -> Int[Tensor, " n"]:
         if not len(self.truth.corner):
             return torch.full(points.shape[:1], -1)
         gap, plane = distance_to_each_rectangle(points, self.truth).min(dim=-1)
         return torch.where(gap <= self.tolerance, plane, -1)
 
 
-def distance_to_rectangles(points: Tensor, truth: Truth) -> Tensor:
-    """Distance (N) of points (N, 3) to the nearest true rectangle."""
+def distance_to_rectangles(points: Float[Tensor, "n 3"], truth: Truth) -> Float[Tensor, " n"]:
+    """Distance of points to the nearest true rectangle."""
     return distance_to_each_rectangle(points, truth).amin(dim=-1)
 
 
-def distance_to_each_rectangle(points: Tensor, truth: Truth) -> Tensor:
-    """Distances (N, k) of points (N, 3) to the true rectangles (k)."""
+def distance_to_each_rectangle(points: Float[Tensor, "n 3"], truth: Truth) -> Float[Tensor, "n k"]:
+    """Distances of points to the true rectangles."""
     offset = points[:, None] - truth.corner
     along1, along2 = (
         ((offset * edge).sum(dim=-1) / edge.square().sum(dim=-1)).clamp(0.0, 1.0) for edge in (truth.edge1, truth.edge2)

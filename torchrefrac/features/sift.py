@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from torchrefrac.files.capture import read_color
@@ -27,7 +27,7 @@ class Features:
     """Keypoints of one image, with unit descriptors and RGB colours."""
 
     pixels: Float[Tensor, "k 2"]
-    descriptors: Float32[Tensor, "k 128"]
+    descriptors: Float[Tensor, "k 128"]
     colors: UInt8[Tensor, "k 3"]
 
     def __len__(self) -> int:

@@ -1,54 +1,79 @@
 """`cameras.json` and `points.ply`: what a run leaves behind, written whole or not at all."""
 
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
-from torchrefrac.camera import Intrinsics
+from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.files.fields import Fields, scene_fields
 from torchrefrac.files.ply import write_vertices
-from torchrefrac.scene.reconstruction import Assessment, Reconstruction, mean_deviation
+from torchrefrac.geometry import Rigid
+from torchrefrac.scene import Assessment, Cameras, Interfaces, Observations, Scene, SceneError, Views, mean_deviation
 
-FORMAT = "torchrefrac-cameras/1"
+CAMERAS, FORMAT = "cameras.json", "torchrefrac-cameras/1"
+UNKNOWN = ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [0.0, 0.0, 0.0])  # the pose of what has none
 
 
-def write_cameras(reconstruction: Reconstruction, path: Path) -> None:
-    """Write poses, intrinsics, index ratio and, where it is known, the covariance (3, 3) of each registered image's
-    centre, in squares of the length unit; the frame and the convention of pixels are those of the package."""
-    focal, principal, intrinsics = (
-        reconstruction.intrinsics.focal.tolist(),
-        reconstruction.intrinsics.principal_point.tolist(),
-        reconstruction.intrinsics,
-    )
-    covariance = reconstruction.assessment.center_covariance
-    spread = iter([] if covariance is None else covariance.tolist())
-    images = []
-    for i, name in enumerate(reconstruction.names):
-        entry: dict[str, object] = {"name": name, "registered": bool(reconstruction.registered[i])}
-        if entry["registered"]:
-            entry["cam_from_world_rotation"] = reconstruction.rotation[i].tolist()
-            entry["center_in_world"] = reconstruction.center[i].tolist()
+@dataclass(frozen=True, eq=False)
+class NamedCameras(RefractiveCamera):
+    """Cameras as one batch (m), and the names (m) of their photographs."""
+
+    names: tuple[str, ...] = field(kw_only=True)
+
+
+def load_cameras(run: str | Path) -> NamedCameras:
+    """The cameras of the registered views of a run, from its folder or its cameras.json.
+
+    Raises SceneError, with the file and the field, for anything that cannot be right.
+    """
+    run = Path(run)
+    scene = read_cameras(run / CAMERAS if run.is_dir() else run)
+    scene = scene.of_views(scene.views.registered)
+    of, views = scene.camera_of(), scene.views
+    return NamedCameras(of.intrinsics, views.rotation, views.center, of.interface, check=False, names=views.names)
+
+
+def write_cameras(scene: Scene, path: Path) -> None:
+    """Write poses, intrinsics, index ratio and, where it is known, the covariance of each registered view's centre, in
+    squares of the length unit; the frame and the convention of pixels are those of the package.
+
+    Raises SceneError where there are several cameras, or water that is not the plane z = 0: the file has no place for
+    them.
+    """
+    intrinsics, views = scene.intrinsics, scene.views
+    if not scene.interfaces.is_level:
+        raise SceneError(
+            f"{path} cannot tell of water that is not the plane z = 0; write a COLMAP model and water.json"
+        )
+    (fx, fy), (cx, cy) = intrinsics.focal.tolist(), intrinsics.principal_point.tolist()
+    covariance = scene.assessment.center_covariance
+    covariances = iter([] if covariance is None else covariance.tolist())
+    images: list[dict[str, object]] = []
+    for i, (name, registered) in enumerate(zip(views.names, views.registered.tolist(), strict=True)):
+        entry: dict[str, object] = {"name": name, "registered": registered}
+        if registered:
+            entry["cam_from_world_rotation"] = views.rotation[i].tolist()
+            entry["center_in_world"] = views.center[i].tolist()
             if covariance is not None:
-                entry["center_covariance"] = next(spread)
+                entry["center_covariance"] = next(covariances)
         else:
-            entry["reason"] = reconstruction.failures.get(name, "")
+            entry["reason"] = scene.failures.get(name, "")
         images.append(entry)
     content = {
         "format": FORMAT,
-        "length_unit": reconstruction.length_unit,
-        "index_ratio": reconstruction.index_ratio,
+        "length_unit": scene.length_unit,
+        "index_ratio": scene.index_ratio,
         "pixel_origin": "corner",
         "intrinsics": {
-            "width": intrinsics.width,
-            "height": intrinsics.height,
-            "fx": focal[0],
-            "fy": focal[1],
-            "cx": principal[0],
-            "cy": principal[1],
+            **{"width": intrinsics.width, "height": intrinsics.height, "fx": fx, "fy": fy, "cx": cx, "cy": cy},
             "distortion": intrinsics.distortion.tolist(),
         },
         "images": images,
@@ -57,51 +82,78 @@ def write_cameras(reconstruction: Reconstruction, path: Path) -> None:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def load_cameras(path: Path) -> Reconstruction:
-    """Read `cameras.json` back; the reconstruction has no points, and of its assessment only that of the centres."""
-    content = json.loads(path.read_text(encoding="utf-8"))
-    lens = content["intrinsics"]
-    images = content["images"]
-    registered = torch.tensor([image["registered"] for image in images])
-    rotation = torch.eye(3, dtype=torch.float64).repeat(len(images), 1, 1)
-    center = torch.zeros(len(images), 3, dtype=torch.float64)
-    for i, image in enumerate(images):
-        if image["registered"]:
-            rotation[i] = torch.tensor(image["cam_from_world_rotation"], dtype=torch.float64)
-            center[i] = torch.tensor(image["center_in_world"], dtype=torch.float64)
-    empty = torch.zeros(0, dtype=torch.long)
-    return Reconstruction(
-        names=tuple(image["name"] for image in images),
-        registered=registered,
-        rotation=rotation,
-        center=center,
-        intrinsics=Intrinsics.create(
-            lens["width"], lens["height"], (lens["fx"], lens["fy"]), (lens["cx"], lens["cy"]), lens["distortion"]
-        ),
-        index_ratio=content["index_ratio"],
-        length_unit=content["length_unit"],
-        points=torch.zeros(0, 3, dtype=torch.float64),
-        colors=torch.zeros(0, 3, dtype=torch.uint8),
-        image=empty,
-        point=empty,
-        pixels=torch.zeros(0, 2, dtype=torch.float64),
-        failures={image["name"]: image.get("reason", "") for image in images if not image["registered"]},
-        assessment=_assessment([image for image in images if image["registered"]]),
-    )
+def read_cameras(path: Path) -> Scene:
+    """Read `cameras.json`: the views of a run, registered or not, without points, and of the assessment that of the
+    centres. Raises SceneError, with the file and the field, for anything that cannot be right."""
+    with scene_fields(path) as top:
+        for name, wanted in (("format", FORMAT), ("pixel_origin", "corner")):
+            if top.text(name) != wanted:
+                raise top.fail(name, f"is {top.text(name)!r}, but must be {wanted!r}")
+        if top.number("index_ratio") < 1.0:
+            raise top.fail("index_ratio", f"is {top.number('index_ratio'):g}, but must be at least 1")
+        images = top.objects("images")
+        names = _names(images)
+        registered = [image.flag("registered") for image in images]
+        poses = [_pose(image) if known else UNKNOWN for image, known in zip(images, registered, strict=True)]
+        pose = Rigid(_table([rotation for rotation, _ in poses], 3, 3), _table([center for _, center in poses], 3))
+        none = torch.zeros(0, 3, dtype=torch.float64)
+        return Scene(
+            cameras=Cameras.of([_intrinsics(top.object("intrinsics"))]),
+            views=replace(Views.posed(pose, names), registered=torch.tensor(registered, dtype=torch.bool)),
+            interfaces=Interfaces.level(top.number("index_ratio")),
+            points=none,
+            colors=none.to(torch.uint8),
+            placed=torch.zeros(0, dtype=torch.bool),
+            observations=Observations.none(),
+            accepted=torch.zeros(0, dtype=torch.bool),
+            length_unit=top.text("length_unit"),
+            failures={image.text("name"): image.text("reason", "") for image in images if not image.flag("registered")},
+            assessment=_assessment([image for image in images if image.flag("registered")]),
+        )
 
 
-def _assessment(placed: list[dict[str, Any]]) -> Assessment:
-    """Of the centres of registered images, where the file tells of all of them."""
-    if not placed or not all("center_covariance" in image for image in placed):
+def _intrinsics(fields: Fields) -> Intrinsics:
+    for name in ("width", "height", "fx", "fy"):
+        if fields.number(name) <= 0:
+            raise fields.fail(name, f"is {fields.number(name):g}, but must be above 0")
+    focal, principal_point = ((fields.number(x), fields.number(y)) for x, y in (("fx", "fy"), ("cx", "cy")))
+    width, height = fields.integer("width"), fields.integer("height")
+    return Intrinsics.create(width, height, focal, principal_point, fields.numbers("distortion", 5))
+
+
+def _pose(image: Fields) -> tuple[list[list[float]], list[float]]:
+    return image.matrix("cam_from_world_rotation"), image.numbers("center_in_world", 3)
+
+
+def _table(rows: Sequence[Any], *shape: int) -> Float[Tensor, "m *shape"]:
+    return torch.tensor(rows, dtype=torch.float64).reshape(-1, *shape)
+
+
+def _names(images: list[Fields]) -> tuple[str, ...]:
+    names: list[str] = []
+    for image in images:
+        if image.text("name") in names:
+            raise image.fail(
+                "name", f"is {image.text('name')!r}, which an image before it already has; names must differ"
+            )
+        names.append(image.text("name"))
+    return tuple(names)
+
+
+def _assessment(registered: list[Fields]) -> Assessment:
+    """Of the centres of registered views, where the file has the covariances of all of them."""
+    if not registered or not all("center_covariance" in image for image in registered):
         return Assessment()
-    covariance = torch.tensor([image["center_covariance"] for image in placed], dtype=torch.float64)
+    covariance = _table([image.matrix("center_covariance") for image in registered], 3, 3)
     return Assessment(center_sigma=mean_deviation(covariance), center_covariance=covariance)
 
 
-def write_points(points: Tensor, colors: Tensor, path: Path, sigma: Tensor | None = None) -> None:
-    """Write a coloured point cloud (n, 3), (n, 3) uint8 as binary PLY.
+def write_points(
+    points: Float[Tensor, "n 3"], colors: UInt8[Tensor, "n 3"], path: Path, sigma: Float[Tensor, " n"] | None = None
+) -> None:
+    """Write a coloured point cloud as binary PLY.
 
-    sigma (n): standard deviations of the points, written as the property `sigma` of the vertices (float32).
+    sigma: standard deviations of the points, written as the property `sigma` of the vertices (float32).
     """
     columns = [(name, "f4", value) for name, value in zip("xyz", points.T, strict=True)]
     columns += [(name, "u1", value) for name, value in zip(("red", "green", "blue"), colors.T, strict=True)]
@@ -110,8 +162,8 @@ def write_points(points: Tensor, colors: Tensor, path: Path, sigma: Tensor | Non
     write_vertices(columns, path)
 
 
-def load_points(path: Path) -> tuple[Tensor, Tensor]:
-    """Points (n, 3) float64 and colours (n, 3) uint8 of a PLY file."""
+def load_points(path: Path) -> tuple[Float[Tensor, "n 3"], UInt8[Tensor, "n 3"]]:
+    """Points (float64) and colours of a PLY file."""
     import trimesh  # noqa: PLC0415 - slow to import, needed only here
 
     cloud = trimesh.load(path, process=False)

@@ -9,10 +9,10 @@ import torch
 from torchrefrac.camera import Intrinsics
 from torchrefrac.files.fields import Fields, read_json
 from torchrefrac.scene import Cameras, Capture, CaptureError, Interfaces
+from torchrefrac.scene.interfaces import INDEX_RATIO_RANGE, MAX_INDEX_RATIO
 
 FORMAT = "torchrefrac-capture/1"
 PIXEL_SHIFT = {"center": 0.5, "corner": 0.0}
-MAX_INDEX_RATIO = 3.0
 UNIT_TOLERANCE = 1e-3
 OPTICAL_AXIS = [0.0, 0.0, 1.0]
 
@@ -88,9 +88,7 @@ def read_index_ratio(top: Fields) -> float:
     """The index ratio that capture.json or truth.json states."""
     ratio = top.number("index_ratio")
     if not 1.0 <= ratio <= MAX_INDEX_RATIO:
-        raise top.fail(
-            "index_ratio", f"is {ratio:g}, but n_water / n_air lies between 1 and {MAX_INDEX_RATIO:g} (water: 1.333)"
-        )
+        raise top.fail("index_ratio", f"is {ratio:g}, but {INDEX_RATIO_RANGE}")
     return ratio
 
 

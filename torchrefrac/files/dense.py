@@ -11,6 +11,10 @@ from torchrefrac.files.ply import DenseFileError, read_vertices, write_vertices
 from torchrefrac.scene.dense import DenseCloud, DepthMap
 
 DEPTH_MAP_FORMAT = "torchrefrac-depth-map/1"
+DEPTH_MAP = {
+    **{"name": "U:", "step": "i:", "points": "n:hw3", "depth": "n:hw", "sigma": "n:hw", "valid": "b:hw"},
+    "length_unit": "U:",
+}
 POSITION, NORMAL, COLOR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
 UNIT = "length_unit"
 MOST_VIEWS = 65535
@@ -101,18 +105,11 @@ def write_depth_map(depth_map: DepthMap, path: str | Path) -> None:
 
 def load_depth_map(path: str | Path) -> DepthMap:
     """Read what `write_depth_map` wrote, float64 again. Raises DenseFileError where the file is missing or damaged."""
-    found = read_arrays(
-        path,
-        DEPTH_MAP_FORMAT,
-        {"name": "", "step": "", "points": "hw3", "depth": "hw", "sigma": "hw", "valid": "hw", "length_unit": ""},
-    )
+    found = read_arrays(path, DEPTH_MAP, DenseFileError, DEPTH_MAP_FORMAT)
     return DepthMap(
         name=str(found["name"]),
         step=int(found["step"]),
-        points=torch.from_numpy(found["points"].astype(np.float64)),
-        depth=torch.from_numpy(found["depth"].astype(np.float64)),
-        sigma=torch.from_numpy(found["sigma"].astype(np.float64)),
-        valid=torch.from_numpy(found["valid"].astype(np.bool_)),
+        **{name: torch.from_numpy(found[name]) for name in ("points", "depth", "sigma", "valid")},
         length_unit=str(found["length_unit"]),
     )
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from torchrefrac.scene import AlignmentError, CaptureError
+from torchrefrac.scene import CaptureError, SceneError
 
 
 def read_json(path: Path) -> "Fields":
@@ -46,7 +46,16 @@ class Fields:
             if name not in known:
                 raise self.fail(name, f"is not a known field; known here are {', '.join(known)}")
 
-    def text(self, name: str) -> str:
+    def names(self) -> list[str]:
+        """Those of all fields, which must not be empty."""
+        if "" in self._content:
+            raise CaptureError(f"{self._path}: {self._prefix} has an entry with an empty name; give it one")
+        return list(self._content)
+
+    def text(self, name: str, default: str | None = None) -> str:
+        """`default`, if there is one, where the field is missing or empty."""
+        if default is not None and not self._content.get(name):
+            return default
         value = self._get(name)
         if not isinstance(value, str) or not value:
             raise self.fail(name, f"is {_kind(value)}, but must be a non-empty string")
@@ -54,6 +63,12 @@ class Fields:
 
     def number(self, name: str) -> float:
         return self._number(name, self._get(name))
+
+    def flag(self, name: str) -> bool:
+        value = self._content.get(name)
+        if not isinstance(value, bool):
+            raise self.fail(name, f"is {value!r}, but must be true or false")
+        return value
 
     def integer(self, name: str) -> int:
         value = self._get(name)
@@ -66,6 +81,9 @@ class Fields:
         if not isinstance(value, list) or len(value) != count:
             raise self.fail(name, f"is {_kind(value)}, but must be a list of {count} numbers")
         return [self._number(f"{name}[{i}]", item) for i, item in enumerate(value)]
+
+    def is_list(self, name: str) -> bool:
+        return isinstance(self._get(name), list)
 
     def matrix(self, name: str) -> list[list[float]]:
         """A 3x3 matrix as three rows."""
@@ -83,6 +101,13 @@ class Fields:
         if not isinstance(value, list):
             raise self.fail(name, f"is {_kind(value)}, but must be a list of objects")
         return [Fields(item, self._path, f"{self._label(name)}[{i}]") for i, item in enumerate(value)]
+
+    def members(self, name: str) -> "dict[str, Fields]":
+        """The objects in object `name`, by their names; none where it is missing."""
+        if name not in self:
+            return {}
+        table = self.object(name)
+        return {key: table.object(key) for key in table.names()}
 
     def _number(self, name: str, value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -113,20 +138,14 @@ def _kind(value: Any) -> str:
 
 
 @contextmanager
-def alignment_errors() -> Iterator[None]:
-    """Raise what the checked reading of JSON fields finds as AlignmentError."""
-    try:
-        yield
-    except CaptureError as error:
-        raise AlignmentError(str(error)) from None
-
-
-def read_object(path: Path) -> tuple[dict[str, Any], Fields]:
-    """A JSON object, as it is and with checked access; to be called within `alignment_errors`."""
+def scene_fields(path: Path) -> Iterator[Fields]:
+    """A JSON object that belongs to a scene; whatever is wrong with the file or its fields is raised as SceneError."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
+        yield Fields(content, path, "")
     except (FileNotFoundError, IsADirectoryError):
-        raise AlignmentError(f"{path} is not a file, but must be one of JSON") from None
+        raise SceneError(f"{path} is not a file, but must be one of JSON") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise AlignmentError(f"{path} is not valid JSON: {error}") from None
-    return content, Fields(content, path, "")
+        raise SceneError(f"{path} is not valid JSON: {error}") from None
+    except CaptureError as error:
+        raise SceneError(str(error)) from None

@@ -7,11 +7,15 @@ import torch
 
 from torchrefrac.atomic import replacing
 from torchrefrac.files.npz import read_arrays, write_arrays
+from torchrefrac.files.ply import DenseFileError
 from torchrefrac.scene.raster import Raster
 
 FORMAT = "torchrefrac-raster/1"
 DSM = "dsm.npz"
-GRIDS = ("height", "depth", "sigma", "count", "colors", "valid", "filled")
+GRIDS = {
+    **{"height": "n:rc", "depth": "n:rc", "sigma": "n:rc", "count": "i:rc"},
+    **{"colors": "c:rc3", "valid": "b:rc", "filled": "b:rc"},
+}
 NUMBERS = ("x_west", "y_north", "cell_size")
 
 
@@ -24,13 +28,11 @@ def write_raster(raster: Raster, folder: str | Path) -> None:
 
 def load_raster(path: str | Path) -> Raster:
     """Read what `write_raster` wrote, to the last bit. Raises DenseFileError where the file is missing or damaged."""
-    axes = dict.fromkeys(GRIDS, "rc") | {"colors": "rc3", "length_unit": ""} | dict.fromkeys(NUMBERS, "")
-    found = read_arrays(path, FORMAT, axes)
+    wanted = GRIDS | {"length_unit": "U:"} | dict.fromkeys(NUMBERS, "n:")
+    found = read_arrays(path, wanted, DenseFileError, FORMAT)
     return Raster(
         **{name: torch.from_numpy(found[name]) for name in GRIDS if name != "depth"},
-        x_west=float(found["x_west"]),
-        y_north=float(found["y_north"]),
-        cell_size=float(found["cell_size"]),
+        **{name: float(found[name]) for name in NUMBERS},
         length_unit=str(found["length_unit"]),
     )
 

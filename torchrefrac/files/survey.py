@@ -7,43 +7,45 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.files.capture import PIXEL_SHIFT, UNIT_TOLERANCE
 from torchrefrac.files.fields import Fields
 from torchrefrac.scene.capture import CaptureError
-from torchrefrac.scene.survey import Matrix, ScaleBar, Survey, SurveyedImage, SurveyedMark, SurveyError, resolve
+from torchrefrac.scene.survey import ControlPoint, Matrix, ScaleBar, Survey, SurveyedImage, SurveyError, resolve
 
 FORMAT = "torchrefrac-survey/1"
+Covariance = Float[Tensor, "3 3"]
 IMAGE_FIELDS = {
     "down_in_cam": ("down_in_cam_sigma_deg",),
     "height": ("height_sigma",),
     "center": ("center_sigma", "center_covariance"),
 }
-MARK_FIELDS = {"observations": (), "position": ("sigma",), "on_waterline": ("waterline_sigma",)}
+CONTROL_FIELDS = {"observations": (), "position": ("sigma",), "on_waterline": ("waterline_sigma",)}
 RANGE = 1e100  # of lengths and sigmas: their squares and the inverses of those are finite
 SYMMETRY_TOLERANCE = 1e-6  # of covariances, relative to the standard deviations they belong to
 MIN_EIGENVALUE = 1e-10  # of correlations; below, as many digits as people write do not tell them from singular ones
 
 
 def read_survey(path: str | Path, names: Sequence[str]) -> Survey:
-    """Read a `survey.json` and resolve it against `names`, those of the images of an alignment.
+    """Read a `survey.json` and resolve it against `names`, those of the views of a scene.
 
     Everything in the file but `format` is optional; `pixel_origin` is "corner" (COLMAP) unless it says "center"
     (OpenCV). What was measured of an image that is not among `names` is checked like the rest, then left out, and the
-    image is listed in `skipped`: images that could not be registered are common. A mark that this leaves with fewer
-    than two observations, or with none where its position is known, is left out too, with its scale bars, and listed
-    in `skipped_marks`.
+    image is listed in `skipped`: images that could not be registered are common. A ground control point that this
+    leaves with fewer than two observations, or with none where its position is known, is left out too, with its scale
+    bars, and listed in `skipped_controls`.
 
     Raises SurveyError with one sentence for anything that cannot be right: a missing or malformed file, a name given
     twice, an unknown or mistyped field, a sigma that is not positive and finite, a covariance that is not symmetric and
     positive definite, a measurement without its sigma or a sigma without its measurement, a down_in_cam that is no
-    unit vector, a height that is not above the water, a mark with too few observations, a scale bar to a mark that does
-    not exist, and a file none of whose images is among `names`.
+    unit vector, a height that is not above the water, a point with too few observations, a scale bar to a point that
+    does not exist, and a file none of whose images is among `names`.
     """
     path = Path(path)
     try:
-        top = _Object(_parse(path), path, "")
+        top = Fields(_parse(path), path, "")
         top.only("format", "pixel_origin", "images", "marks", "scale_bars")
         if top.text("format") != FORMAT:
             raise top.fail("format", f"is {top.text('format')!r}, but must be {FORMAT!r}")
@@ -60,49 +62,9 @@ def read_survey(path: str | Path, names: Sequence[str]) -> Survey:
     mentioned = {*images, *(image for mark in marks.values() for image in mark.pixels)}
     survey = resolve(images, marks, bars, names)
     if mentioned and len(survey.skipped) == len(mentioned):
-        wanted = f"the alignment has none of them; its images are {_some(names)}"
+        wanted = f"the scene has none of them; its images are {_some(names)}"
         raise SurveyError(f"{path} names the images {_some(survey.skipped)}, but {wanted}")
     return survey
-
-
-class _Object(Fields):
-    """An object whose fields may have names of the user's own."""
-
-    def members(self, name: str) -> "dict[str, _Object]":
-        """The objects in object `name`, by their names; none where it is missing."""
-        if name not in self:
-            return {}
-        table = self.object(name)
-        return {key: table.object(key) for key in table.entries()}
-
-    def entries(self) -> list[str]:
-        """The names of all fields."""
-        if "" in self._content:
-            raise CaptureError(f"{self._path}: {self._prefix} has an entry with an empty name; give it one")
-        return list(self._content)
-
-    def object(self, name: str) -> "_Object":
-        return _Object(self._get(name), self._path, self._label(name))
-
-    def flag(self, name: str) -> bool:
-        value = self._get(name)
-        if not isinstance(value, bool):
-            raise self.fail(name, f"is {value!r}, but must be true or false")
-        return value
-
-    def sigmas(self, name: str) -> list[float]:
-        """Three: one for each axis, or the same for all."""
-        if isinstance(self._get(name), list):
-            return [_within(self, f"{name}[{i}]", value) for i, value in enumerate(self.numbers(name, 3))]
-        return [_positive(self, name)] * 3
-
-    def paired(self, fields: Mapping[str, tuple[str, ...]]) -> None:
-        """Refuse fields that are neither measurements nor the sigmas that go with them, and sigmas that stand alone."""
-        self.only(*fields, *(sigma for sigmas in fields.values() for sigma in sigmas))
-        for measured, sigmas in fields.items():
-            for sigma in sigmas:
-                if sigma in self and measured not in self:
-                    raise self.fail(sigma, f"is given without {measured}; give both or neither")
 
 
 def _parse(path: Path) -> Any:
@@ -132,8 +94,8 @@ def _pixel_shift(top: Fields) -> float:
     return PIXEL_SHIFT[origin]
 
 
-def _image(image: _Object) -> SurveyedImage:
-    image.paired(IMAGE_FIELDS)
+def _image(image: Fields) -> SurveyedImage:
+    _paired(image, IMAGE_FIELDS)
     down = height = center = None
     if "down_in_cam" in image:
         down = _unit(image, "down_in_cam"), math.radians(_positive(image, "down_in_cam_sigma_deg"))
@@ -149,21 +111,21 @@ def _image(image: _Object) -> SurveyedImage:
     return SurveyedImage(down, height, center)
 
 
-def _mark(mark: _Object, shift: float) -> SurveyedMark:
-    mark.paired(MARK_FIELDS)
+def _mark(mark: Fields, shift: float) -> ControlPoint:
+    _paired(mark, CONTROL_FIELDS)
     pixels: dict[str, list[float]] = {}
     if "observations" in mark:
         seen = mark.object("observations")
-        pixels = {image: [x + shift for x in seen.numbers(image, 2)] for image in seen.entries()}
+        pixels = {image: [x + shift for x in seen.numbers(image, 2)] for image in seen.names()}
     known = waterline = None
     if "position" in mark:
         known = mark.numbers("position", 3), _information(mark, "sigma", _diagonal(mark, "sigma"))
     if "on_waterline" in mark and mark.flag("on_waterline"):
         waterline = _positive(mark, "waterline_sigma")
-    return SurveyedMark(pixels, known, waterline)
+    return ControlPoint(pixels, known, waterline)
 
 
-def _bar(bar: Fields, marks: Mapping[str, SurveyedMark]) -> ScaleBar:
+def _bar(bar: Fields, marks: Mapping[str, ControlPoint]) -> ScaleBar:
     bar.only("from", "to", "length", "sigma")
     for end in ("from", "to"):
         if bar.text(end) not in marks:
@@ -171,6 +133,15 @@ def _bar(bar: Fields, marks: Mapping[str, SurveyedMark]) -> ScaleBar:
     if bar.text("from") == bar.text("to"):
         raise bar.fail("to", f"is {bar.text('to')!r}, but must be another mark than from")
     return ScaleBar(bar.text("from"), bar.text("to"), _positive(bar, "length"), _positive(bar, "sigma"))
+
+
+def _paired(entry: Fields, fields: Mapping[str, tuple[str, ...]]) -> None:
+    """Refuse fields that are neither measurements nor the sigmas that go with them, and sigmas that stand alone."""
+    entry.only(*fields, *(sigma for sigmas in fields.values() for sigma in sigmas))
+    for measured, sigmas in fields.items():
+        for sigma in sigmas:
+            if sigma in entry and measured not in entry:
+                raise entry.fail(sigma, f"is given without {measured}; give both or neither")
 
 
 def _positive(fields: Fields, name: str) -> float:
@@ -193,8 +164,8 @@ def _unit(fields: Fields, name: str) -> list[float]:
     return [x / norm for x in vector]
 
 
-def _information(fields: Fields, name: str, covariance: Tensor) -> Matrix:
-    """The inverse of a covariance (3, 3), by way of the correlations, whose condition no choice of units can spoil."""
+def _information(fields: Fields, name: str, covariance: Covariance) -> Matrix:
+    """The inverse of a covariance, by way of the correlations, whose condition no choice of units can spoil."""
     scale = covariance.diagonal().rsqrt()
     correlation = covariance * scale[:, None] * scale
     finite = bool(correlation.isfinite().all() and scale.square().isfinite().all())
@@ -203,12 +174,16 @@ def _information(fields: Fields, name: str, covariance: Tensor) -> Matrix:
     return (torch.cholesky_inverse(torch.linalg.cholesky(correlation)) * scale[:, None] * scale).tolist()
 
 
-def _diagonal(fields: _Object, name: str) -> Tensor:
-    """The covariance (3, 3) of sigmas: one for each axis, or the same for all."""
-    return torch.diag(torch.tensor(fields.sigmas(name), dtype=torch.float64).square())
+def _diagonal(fields: Fields, name: str) -> Covariance:
+    """The covariance of sigmas: one for each axis, or the same for all."""
+    one_for_all = not fields.is_list(name)
+    sigmas = [fields.number(name)] * 3 if one_for_all else fields.numbers(name, 3)
+    labels = [name if one_for_all else f"{name}[{i}]" for i in range(3)]
+    sigmas = [_within(fields, label, sigma) for label, sigma in zip(labels, sigmas, strict=True)]
+    return torch.diag(torch.tensor(sigmas, dtype=torch.float64).square())
 
 
-def _covariance(fields: Fields, name: str) -> Tensor:
+def _covariance(fields: Fields, name: str) -> Covariance:
     covariance = torch.tensor(fields.matrix(name), dtype=torch.float64)
     sigma = covariance.diagonal().abs().sqrt()
     if not ((covariance - covariance.mT).abs() <= SYMMETRY_TOLERANCE * sigma[:, None] * sigma).all():

@@ -1,13 +1,12 @@
 """`truth_points.npz` beside `truth.json`: the true surface point of every few pixels. For evaluation only."""
 
-import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from torchrefrac.files.npz import read_arrays
 from torchrefrac.files.truth import load_truth
 from torchrefrac.scene import TruthPoints
 from torchrefrac.scene.capture import CaptureError
@@ -31,7 +30,10 @@ def load_truth_points(folder: Path, names: Sequence[str]) -> TruthPoints | None:
     truth = load_truth(folder, with_surface=False)
     if truth is None:
         raise CaptureError(f"{folder / 'truth.json'} does not exist, but names the images of {path}")
-    points, plane, step, offset = _arrays(path)
+    found = read_arrays(path, {"X": "f:mhw3", "plane": "i:mhw", "step": "i:", "offset": "n:"}, CaptureError)
+    points, plane, step = found["X"], found["plane"], int(found["step"])
+    if step < 1:
+        raise CaptureError(f"{path}: step is {step}, but must be a whole number of pixels, 1 at least")
     if len(points) != len(truth.names):
         raise CaptureError(f"{path}: X is of {len(points)} images, but truth.json has {len(truth.names)}")
     if plane.size and plane.max() >= max(len(truth.corner), 1):
@@ -43,32 +45,8 @@ def load_truth_points(folder: Path, names: Sequence[str]) -> TruthPoints | None:
     return TruthPoints(
         names=tuple(known),
         step=step,
-        offset=offset + CENTER_OF_FIRST_PIXEL,
+        offset=float(found["offset"]) + CENTER_OF_FIRST_PIXEL,
         points=torch.where(valid[..., None], chosen, 0.0),
-        plane=torch.from_numpy(plane[rows].astype(np.int64)),
+        plane=torch.from_numpy(plane[rows]),
         valid=valid,
     )
-
-
-def _arrays(path: Path) -> tuple[np.ndarray, np.ndarray, int, float]:
-    """X, plane, step and offset as they stand in the file, checked one by one."""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            found = {name: archive[name] for name in ("X", "plane", "step", "offset") if name in archive}
-    except (OSError, ValueError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
-        raise CaptureError(f"{path} is not a whole NumPy archive: {error}") from None
-    missing = [name for name in ("X", "plane", "step", "offset") if name not in found]
-    if missing:
-        raise CaptureError(f"{path} lacks {', '.join(missing)}")
-    points, plane, step, offset = (found[name] for name in ("X", "plane", "step", "offset"))
-    if points.dtype.kind != "f" or points.ndim != 4 or points.shape[-1] != 3:
-        raise CaptureError(f"{path}: X is {points.dtype} {points.shape}, but must be floating-point (m, h, w, 3)")
-    if plane.dtype.kind not in "iu" or plane.shape != points.shape[:3]:
-        raise CaptureError(
-            f"{path}: plane is {plane.dtype} {plane.shape}, but must be whole numbers {points.shape[:3]}, as X"
-        )
-    if step.dtype.kind not in "iu" or step.ndim != 0 or step < 1:
-        raise CaptureError(f"{path}: step is {step}, but must be a whole number of pixels, 1 at least")
-    if offset.dtype.kind not in "iuf" or offset.ndim != 0 or not np.isfinite(offset):
-        raise CaptureError(f"{path}: offset is {offset}, but must be a finite number of pixels")
-    return points, plane, int(step), float(offset)

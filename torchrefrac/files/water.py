@@ -1,123 +1,78 @@
-"""`water.json`: where the water surface lies in the frame of an alignment, and how strongly it refracts."""
+"""`water.json`: where the water surfaces lie in the frame of a scene, and how strongly they refract."""
 
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
-from types import MappingProxyType
 
 import torch
+from jaxtyping import Int
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
-from torchrefrac.files.capture import MAX_INDEX_RATIO
-from torchrefrac.files.fields import Fields, alignment_errors, read_object
-from torchrefrac.scene.alignment import AlignmentError
+from torchrefrac.files.capture import read_index_ratio
+from torchrefrac.files.fields import Fields, scene_fields
+from torchrefrac.scene import Interfaces, Scene
 
 FORMAT = "torchrefrac-water/1"
 
 
-@dataclass(frozen=True, eq=False)
-class Water:
-    """E water surfaces, each the plane normal . x = offset: normal (E, 3) unit vectors that point up, offset (E) in
-    length_unit; the frame is that of the alignment.
+def read_water(path: str | Path, names: Sequence[str]) -> tuple[Interfaces, Int[Tensor, " m"]]:
+    """Read the surfaces of `water.json`, and which of them (its row) each of the images `names` looks through.
 
-    index_ratio is n_water / n_air. plane_of: the surface that each image looks through, by the name of the image; where
-    there is one surface every image does, listed or not.
-
-    Raises AlignmentError where E is 0, shapes differ, a normal is no unit vector, plane_of names a surface that is not
-    there, or the index ratio lies below 1 or beyond any liquid.
+    A normal of any length but zero defines its plane by normal . x = offset: both are scaled by the length. Where there
+    is one plane every image looks through it, listed or not. Raises SceneError, with the file and the field, for
+    anything that cannot be right, and where `plane_of` lacks an image.
     """
-
-    index_ratio: float
-    normal: Tensor
-    offset: Tensor
-    plane_of: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    length_unit: str = "unit"
-
-    def __post_init__(self) -> None:
-        if not 1.0 <= self.index_ratio <= MAX_INDEX_RATIO:
-            raise AlignmentError(
-                f"index_ratio is {self.index_ratio:g}, but n_water / n_air lies between 1 and {MAX_INDEX_RATIO:g} "
-                "(water: 1.333)"
-            )
-        count = len(self.offset)
-        if count == 0 or self.normal.shape != (count, 3) or self.offset.shape != (count,):
-            raise AlignmentError(
-                f"normal and offset have shapes {tuple(self.normal.shape)} and {tuple(self.offset.shape)}, but must "
-                "have (E, 3) and (E,) with at least one plane"
-            )
-        if not (self.normal.norm(dim=-1) - 1.0).abs().max() < 1e-6 or not self.offset.isfinite().all():
-            raise AlignmentError("normal must hold unit vectors, and offset finite numbers")
-        for name, plane in self.plane_of.items():
-            if not 0 <= plane < count:
-                raise AlignmentError(
-                    f"plane_of[{name!r}] is {plane}, but must lie in 0 to {count - 1}, one of the planes"
-                )
-
-    def planes_of(self, names: Sequence[str]) -> Tensor:
-        """Which plane (m) long each image looks through; AlignmentError where plane_of does not say it."""
-        if len(self.offset) == 1:
-            return torch.zeros(len(names), dtype=torch.long, device=self.offset.device)
-        missing = [name for name in names if name not in self.plane_of]
-        if missing:
-            raise AlignmentError(
-                f"plane_of lacks {len(missing)} of {len(names)} images, {missing[0]} first; with {len(self.offset)} "
-                "planes it must say for each image which it looks through"
-            )
-        return torch.tensor([self.plane_of[name] for name in names], dtype=torch.long, device=self.offset.device)
-
-
-def read_water(path: str | Path) -> Water:
-    """Read `water.json`. A normal of any length but zero defines its plane by normal . x = offset: both are scaled by
-    the length. Raises AlignmentError with the file and the field."""
     path = Path(path)
-    with alignment_errors():
-        content, top = read_object(path)
+    with scene_fields(path) as top:
         top.only("format", "length_unit", "index_ratio", "planes", "plane_of")
         if top.text("format") != FORMAT:
             raise top.fail("format", f"is {top.text('format')!r}, but must be {FORMAT!r}")
-        unit, index_ratio = top.text("length_unit"), top.number("index_ratio")
+        top.text("length_unit")
         planes = [_plane(fields) for fields in top.objects("planes")]
         if not planes:
             raise top.fail("planes", "is empty, but must list at least one plane")
-        plane_of: dict[str, int] = {}
-        if "plane_of" in top:
-            indices = top.object("plane_of")
-            plane_of = {name: indices.integer(name) for name in content["plane_of"]}
-        elif len(planes) > 1:
-            raise top.fail(
-                "plane_of", f"is missing, but with {len(planes)} planes it must say which an image looks through"
-            )
-    try:
-        return Water(
-            index_ratio=index_ratio,
-            normal=torch.tensor([normal for normal, _ in planes], dtype=torch.float64),
-            offset=torch.tensor([offset for _, offset in planes], dtype=torch.float64),
-            plane_of=MappingProxyType(plane_of),
-            length_unit=unit,
-        )
-    except AlignmentError as error:
-        raise AlignmentError(f"{path}: {error}") from None
+        ratio = torch.full((len(planes),), read_index_ratio(top), dtype=torch.float64)
+        normal, offset = (torch.tensor(column, dtype=torch.float64) for column in zip(*planes, strict=True))
+        return Interfaces(normal, offset, ratio), _planes_of(top, names, len(planes))
 
 
-def write_water(water: Water, path: str | Path) -> None:
-    """Write `water.json`."""
+def write_water(scene: Scene, path: str | Path) -> None:
+    """Write `water.json`. Raises SceneError where the index ratios of the surfaces differ."""
+    surfaces, views = scene.interfaces, scene.views
+    planes = zip(surfaces.normal.tolist(), surfaces.offset.tolist(), strict=True)
     content: dict[str, object] = {
         "format": FORMAT,
-        "length_unit": water.length_unit,
-        "index_ratio": water.index_ratio,
-        "planes": [
-            {"normal": normal, "offset": offset}
-            for normal, offset in zip(water.normal.tolist(), water.offset.tolist(), strict=True)
-        ],
+        "length_unit": scene.length_unit,
+        "index_ratio": scene.index_ratio,
+        "planes": [{"normal": normal, "offset": offset} for normal, offset in planes],
     }
-    if water.plane_of:
-        content["plane_of"] = dict(water.plane_of)
+    if len(surfaces) > 1:
+        content["plane_of"] = dict(zip(views.names, views.interface.tolist(), strict=True))
     with replacing(Path(path)) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _planes_of(top: Fields, names: Sequence[str], count: int) -> Int[Tensor, " m"]:
+    if "plane_of" not in top and count > 1:
+        raise top.fail("plane_of", f"is missing, but with {count} planes it must say which an image looks through")
+    plane_of: dict[str, int] = {}
+    if "plane_of" in top:
+        table = top.object("plane_of")
+        plane_of = {name: table.integer(name) for name in table.names()}
+    for name, plane in plane_of.items():
+        if not 0 <= plane < count:
+            raise top.fail(f"plane_of[{name!r}]", f"is {plane}, but must lie in 0 to {count - 1}, one of the planes")
+    missing = [name for name in names if name not in plane_of] if count > 1 else []
+    if missing:
+        raise top.fail(
+            "plane_of",
+            f"lacks {len(missing)} of {len(names)} images, {missing[0]} first; with {count} planes it must say for "
+            "each image which it looks through",
+        )
+    return torch.tensor([plane_of[name] if count > 1 else 0 for name in names], dtype=torch.long)
 
 
 def _plane(fields: Fields) -> tuple[list[float], float]:

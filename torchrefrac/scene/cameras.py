@@ -22,8 +22,13 @@ class Cameras:
 
     @classmethod
     def of(cls, every: Iterable[Intrinsics]) -> "Cameras":
-        """From single intrinsics, none of them batched."""
+        """From single intrinsics. Raises ValueError where some are batched."""
         every = tuple(every)
+        for i, one in enumerate(every):
+            if one.shape != ():
+                raise ValueError(f"intrinsics[{i}] has batch shape {tuple(one.shape)}, but must be those of one camera")
+        if not every:
+            return cls((), torch.zeros(0, 2), torch.zeros(0, 2), torch.zeros(0, 5))
         return cls(
             tuple((one.width, one.height) for one in every),
             torch.stack([one.focal for one in every]),

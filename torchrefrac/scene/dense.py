@@ -1,45 +1,37 @@
 """What a dense reconstruction consists of: oriented points, and what each image sees of the surface."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 
 @dataclass(frozen=True)
 class DenseCloud:
-    """n oriented points on the surfaces of a scene, in its world frame (z up, water surface at z = 0).
+    """Oriented points on the surfaces of a scene, in its world frame (z up, water surface at z = 0).
 
-    points (n, 3) float64 in length_unit; normals (n, 3) float64, unit, towards the cameras; colors (n, 3) uint8;
-    sigma (n) float64: standard deviation of a point along its viewing ray, in length_unit; score (n) float64: mean
-    zero-normalised cross-correlation (at most 1) of the reference image with the others; views (n) int64: by how many
-    images a point is seen, the reference included; reference (n) int64: index of the reference image.
+    points in length_unit; normals: unit, towards the cameras; sigma: standard deviation of a point along its viewing
+    ray, in length_unit; score: mean zero-normalised cross-correlation (at most 1) of the reference view with the
+    others; views: by how many a point is seen, the reference included; reference: index of the reference view.
     """
 
-    points: Tensor
-    normals: Tensor
-    colors: Tensor
-    sigma: Tensor
-    score: Tensor
-    views: Tensor
-    reference: Tensor
+    points: Float[Tensor, "n 3"]
+    normals: Float[Tensor, "n 3"]
+    colors: UInt8[Tensor, "n 3"]
+    sigma: Float[Tensor, " n"]
+    score: Float[Tensor, " n"]
+    views: Int[Tensor, " n"]
+    reference: Int[Tensor, " n"]
     length_unit: str
 
     def __len__(self) -> int:
         return len(self.points)
 
-    def __getitem__(self, rows: Tensor) -> "DenseCloud":
-        """Some of the points, by a mask (n) or indices."""
-        return DenseCloud(
-            self.points[rows],
-            self.normals[rows],
-            self.colors[rows],
-            self.sigma[rows],
-            self.score[rows],
-            self.views[rows],
-            self.reference[rows],
-            self.length_unit,
-        )
+    def __getitem__(self, rows: Bool[Tensor, " n"] | Int[Tensor, " k"]) -> "DenseCloud":
+        """Some of the points, by a mask or indices."""
+        columns = (getattr(self, f.name) for f in fields(self)[:-1])
+        return DenseCloud(*(column[rows] for column in columns), self.length_unit)
 
     @classmethod
     def empty(cls, length_unit: str) -> "DenseCloud":
@@ -50,17 +42,17 @@ class DenseCloud:
 
 @dataclass(frozen=True)
 class DepthMap:
-    """What one image sees of the surface, on a grid of h x w cells of `step` x `step` pixels.
+    """What one view sees of the surface, on a grid of h x w cells of `step` x `step` pixels.
 
-    Where valid (h, w): points (h, w, 3) in the world frame, at the cell's centre, of row i and column j the pixel
-    (step (j + 1/2), step (i + 1/2)); depth (h, w): their z in the camera's frame, the ordinary depth (not the apparent
-    one); sigma (h, w) along the viewing ray. In length_unit; zero where not valid.
+    Where valid: points in the world frame, at the cell's centre, of row i and column j the pixel (step (j + 1/2),
+    step (i + 1/2)); depth: their z in the camera's frame, the ordinary depth (not the apparent one); sigma along the
+    viewing ray. In length_unit; zero where not valid.
     """
 
     name: str
     step: int
-    points: Tensor
-    depth: Tensor
-    sigma: Tensor
-    valid: Tensor
+    points: Float[Tensor, "h w 3"]
+    depth: Float[Tensor, "h w"]
+    sigma: Float[Tensor, "h w"]
+    valid: Bool[Tensor, "h w"]
     length_unit: str

@@ -11,6 +11,9 @@ from torch import Tensor
 from torchrefrac.geometry import Plane
 from torchrefrac.refraction import FlatInterface
 
+MAX_INDEX_RATIO = 3.0  # beyond any liquid
+INDEX_RATIO_RANGE = f"n_water / n_air lies between 1 and {MAX_INDEX_RATIO:g} (water: 1.333)"
+
 
 @dataclass(frozen=True, eq=False)
 class Interfaces:
@@ -37,6 +40,15 @@ class Interfaces:
         if self.normal.requires_grad or self.offset.requires_grad:
             return False
         return self.normal.tolist() == [[0.0, 0.0, 1.0]] and self.offset.tolist() == [0.0]
+
+    def problem(self) -> str:
+        """What cannot be right about the surfaces; empty where nothing is."""
+        if not len(self):
+            return "there must be at least one interface"
+        if not (self.normal.norm(dim=-1) - 1.0).abs().max() < 1e-6 or not self.offset.isfinite().all():
+            return "normal must hold unit vectors, and offset finite numbers"
+        wrong = self.index_ratio[~((self.index_ratio >= 1.0) & (self.index_ratio <= MAX_INDEX_RATIO))].tolist()
+        return f"index_ratio is {wrong[0]:g}, but {INDEX_RATIO_RANGE}" if wrong else ""
 
     @property
     def planes(self) -> Plane:

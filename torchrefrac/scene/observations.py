@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 
@@ -20,10 +20,16 @@ class Observations:
     pixels: Float[Tensor, "k 2"]
     weight: Float[Tensor, " k"] | None = None
 
+    @classmethod
+    def none(cls) -> "Observations":
+        """Nothing was seen."""
+        index = torch.zeros(0, dtype=torch.long)
+        return cls(index, index, torch.zeros(0, 2, dtype=torch.float64))
+
     def __len__(self) -> int:
         return len(self.view)
 
-    def __getitem__(self, rows: Tensor | slice) -> "Observations":
+    def __getitem__(self, rows: Shaped[Tensor, " j"] | slice) -> "Observations":
         """Some of them, by a mask or by their numbers."""
         weight = None if self.weight is None else self.weight[rows]
         return Observations(self.view[rows], self.point[rows], self.pixels[rows], weight)

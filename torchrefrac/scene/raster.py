@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 
@@ -10,37 +11,36 @@ from torch import Tensor
 class Raster:
     """The surface on rows x columns square cells; row 0 is the northernmost (the largest y), column 0 the westernmost.
 
-    height (rows, columns) float64: world z of the surface, above the water surface, in length_unit; sigma (rows,
-    columns) float64: its standard deviation; count (rows, columns) int64: how many points it is the mean of; colors
-    (rows, columns, 3) uint8; valid (rows, columns): where there is a surface; filled (rows, columns): where it is not
-    measured but interpolated between neighbours, a part of valid. Everything is zero where not valid. x_west, y_north:
-    the outer corner of the first cell, in the world frame; cell_size: side of a cell, in length_unit.
+    height: world z of the surface, above the water surface, in length_unit; sigma: its standard deviation; count: how
+    many points it is the mean of; valid: where there is a surface; filled: where it is not measured but interpolated
+    between neighbours, a part of valid. Everything is zero where not valid. x_west, y_north: the outer corner of the
+    first cell, in the world frame; cell_size: side of a cell, in length_unit.
     """
 
-    height: Tensor
-    sigma: Tensor
-    count: Tensor
-    colors: Tensor
-    valid: Tensor
-    filled: Tensor
+    height: Float[Tensor, "rows columns"]
+    sigma: Float[Tensor, "rows columns"]
+    count: Int[Tensor, "rows columns"]
+    colors: UInt8[Tensor, "rows columns 3"]
+    valid: Bool[Tensor, "rows columns"]
+    filled: Bool[Tensor, "rows columns"]
     x_west: float
     y_north: float
     cell_size: float
     length_unit: str
 
     @property
-    def depth(self) -> Tensor:
-        """(rows, columns): depth of the surface below the water surface, -height; negative on land."""
+    def depth(self) -> Float[Tensor, "rows columns"]:
+        """Depth of the surface below the water surface, -height; negative on land."""
         return 0.0 - self.height
 
     @property
-    def x(self) -> Tensor:
-        """(columns): world x of the centres of the cells, ascending."""
+    def x(self) -> Float[Tensor, " columns"]:
+        """World x of the centres of the cells, ascending."""
         columns = torch.arange(self.height.shape[1], dtype=self.height.dtype, device=self.height.device)
         return self.x_west + (columns + 0.5) * self.cell_size
 
     @property
-    def y(self) -> Tensor:
-        """(rows): world y of the centres of the cells, descending."""
+    def y(self) -> Float[Tensor, " rows"]:
+        """World y of the centres of the cells, descending."""
         rows = torch.arange(self.height.shape[0], dtype=self.height.dtype, device=self.height.device)
         return self.y_north - (rows + 0.5) * self.cell_size

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
@@ -133,7 +133,7 @@ class Scene:
 
     def check(self) -> None:
         """Raise SceneError where the tables do not fit together."""
-        m, n, k = len(self.views), len(self.points), len(self.observations)
+        m, n, k, e = len(self.views), len(self.points), len(self.observations), len(self.interfaces)
         shapes = {
             "camera": (self.views.camera, (m,)),
             "interface": (self.views.interface, (m,)),
@@ -144,16 +144,20 @@ class Scene:
             "view": (self.observations.view, (k,)),
             "point": (self.observations.point, (k,)),
             "pixels": (self.observations.pixels, (k, 2)),
+            "normal": (self.interfaces.normal, (e, 3)),
+            "index_ratio": (self.interfaces.index_ratio, (e,)),
         }
         for name, (value, wanted) in shapes.items():
             if tuple(value.shape) != wanted:
                 raise SceneError(
-                    f"{name} has shape {tuple(value.shape)}, but must have {wanted} with {m} views, {n} points and {k} "
-                    "observations"
+                    f"{name} has shape {tuple(value.shape)}, but must have {wanted} with {m} views, {n} points, {k} "
+                    f"observations and {e} interfaces"
                 )
+        if problem := self.interfaces.problem():
+            raise SceneError(problem)
         indices = (("camera", len(self.cameras)), ("interface", len(self.interfaces)), ("view", m), ("point", n))
         for name, count in indices:
-            _require_index(shapes[name][0], name, count)
+            require_index(shapes[name][0], name, count)
         if bool((self.observations.point.diff() < 0).any()):
             raise SceneError("point does not ascend; sort the observations by point")
 
@@ -236,6 +240,24 @@ class Scene:
             points=self.points.index_copy(0, part.point, changed.points),
         )
 
+    def with_points(
+        self,
+        points: Float[Tensor, "n 3"],
+        colors: UInt8[Tensor, "n 3"],
+        observations: Observations | None = None,
+    ) -> "Scene":
+        """With these points, all of them placed, and these observations of them, all of them accepted; none by
+        default."""
+        seen = Observations.none() if observations is None else observations
+        return replace(
+            self,
+            points=points,
+            colors=colors,
+            placed=torch.ones(len(points), dtype=torch.bool, device=points.device),
+            observations=seen,
+            accepted=torch.ones_like(seen.point, dtype=torch.bool),
+        )
+
     def of_views(self, wanted: Bool[Tensor, " m"]) -> "Scene":
         """Only those views and their observations; all points and cameras stay."""
         observed, rows = wanted[self.observations.view], wanted.nonzero()[:, 0]
@@ -286,7 +308,7 @@ def mean_deviation(covariance: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*b
     return covariance.diagonal(dim1=-2, dim2=-1).mean(dim=-1).clamp(min=0.0).sqrt()
 
 
-def _require_index(index: Int[Tensor, " k"], name: str, count: int) -> None:
+def require_index(index: Shaped[Tensor, " k"], name: str, count: int) -> None:
     """Refuse what does not count from 0 to `count` - 1."""
     if index.dtype != torch.long:
         raise SceneError(f"{name} has dtype {index.dtype}, but must be torch.long")

@@ -5,10 +5,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchrefrac.checks import TorchrefracError
 
-class SurveyError(ValueError):
+
+class SurveyError(TorchrefracError, ValueError):
     """The survey cannot be used; the message names the file and the field."""
 
 
@@ -25,8 +28,9 @@ class SurveyedImage:
 
 
 @dataclass(frozen=True)
-class SurveyedMark:
-    """pixels by name of image; known: position and information (3, 3); waterline: sigma, where it lies in the water."""
+class ControlPoint:
+    """A ground control point. pixels by name of image; known: position and information (3, 3); waterline: sigma, where
+    it lies in the water surface."""
 
     pixels: dict[str, list[float]]
     known: tuple[list[float], Matrix] | None = None
@@ -40,7 +44,7 @@ class SurveyedMark:
 
 @dataclass(frozen=True)
 class ScaleBar:
-    """The distance between two marks, by their names."""
+    """The distance between two control points, by their names."""
 
     start: str
     end: str
@@ -50,52 +54,50 @@ class ScaleBar:
 
 @dataclass(frozen=True)
 class Survey:
-    """Measurements of the images of an alignment and of marks seen in them, resolved against the names of its images.
+    """Measurements of the views of a scene and of ground control points seen in them, resolved against their names.
 
     Every kind of measurement is a flat table of its own, float64 and int64, and any of them may be empty. Indices named
-    `*_image` and `mark_image` point into `names`, those named `mark` and `*_mark` into `mark_names`. Lengths are in the
-    unit of the alignment, positions in its frame, angles in radians, pixels in COLMAP's convention. A `sigma` is a
-    standard deviation, an `information` the inverse of a covariance.
+    `*_image` point into `names`, those named `control` and `*_control` into `control_names`. Lengths are in the unit of
+    the scene, positions in its frame, angles in radians, pixels in COLMAP's convention. A `sigma` is a standard
+    deviation, an `information` the inverse of a covariance.
 
-    Images: unit vectors down_in_cam (a, 3) with the angle down_sigma (a) by which they are expected to err; height (b)
-    of the camera centre above its water plane, along the normal of that plane, with height_sigma (b); camera centres
-    center (c, 3) with center_information (c, 3, 3).
+    Images: unit vectors down_in_cam with the angle down_sigma by which they are expected to err; height of the camera
+    centre above its interface, along the normal of that plane; camera centres.
 
-    Marks: k points that somebody has pointed at in the images, q times in all: mark_image and mark (q), sorted by mark,
-    mark_pixels (q, 2). Each is observed at least twice, or once where its position is known, as it is for p of them:
-    known_mark (p), known_position (p, 3), known_information (p, 3, 3). w of them lie in the water surface:
-    waterline_mark (w), waterline_sigma (w) along its normal. s distances between marks are known: bar_from, bar_to,
-    bar_length and bar_sigma (s).
+    Control: points that somebody has pointed at in the images, sorted by point. Each is observed at least twice, or
+    once where its position is known. Some lie in the water surface, with waterline_sigma along its normal; distances
+    between some are known (bars).
 
-    skipped: images that the survey names and the alignment does not have; nothing measured of them is in the tables.
-    skipped_marks: marks that could not be placed without those images; they and their scale bars are not in the tables.
+    skipped: images that the survey names and the scene does not have; nothing measured of them is in the tables.
+    skipped_controls: points that could not be placed without those images; they and their scale bars are not in the
+    tables.
     """
 
     names: tuple[str, ...]
-    down_in_cam: Tensor
-    down_sigma: Tensor
-    down_image: Tensor
-    height: Tensor
-    height_sigma: Tensor
-    height_image: Tensor
-    center: Tensor
-    center_information: Tensor
-    center_image: Tensor
-    mark_names: tuple[str, ...]
-    mark_image: Tensor
-    mark: Tensor
-    mark_pixels: Tensor
-    known_mark: Tensor
-    known_position: Tensor
-    known_information: Tensor
-    waterline_mark: Tensor
-    waterline_sigma: Tensor
-    bar_from: Tensor
-    bar_to: Tensor
-    bar_length: Tensor
-    bar_sigma: Tensor
+    down_in_cam: Float[Tensor, "a 3"]
+    down_sigma: Float[Tensor, " a"]
+    down_image: Int[Tensor, " a"]
+    height: Float[Tensor, " b"]
+    height_sigma: Float[Tensor, " b"]
+    height_image: Int[Tensor, " b"]
+    center: Float[Tensor, "c 3"]
+    center_information: Float[Tensor, "c 3 3"]
+    center_image: Int[Tensor, " c"]
+    control_names: tuple[str, ...]
+    control_image: Int[Tensor, " q"]
+    control: Int[Tensor, " q"]
+    control_pixels: Float[Tensor, "q 2"]
+    known_control: Int[Tensor, " p"]
+    known_position: Float[Tensor, "p 3"]
+    known_information: Float[Tensor, "p 3 3"]
+    waterline_control: Int[Tensor, " w"]
+    waterline_sigma: Float[Tensor, " w"]
+    bar_from: Int[Tensor, " s"]
+    bar_to: Int[Tensor, " s"]
+    bar_length: Float[Tensor, " s"]
+    bar_sigma: Float[Tensor, " s"]
     skipped: tuple[str, ...] = ()
-    skipped_marks: tuple[str, ...] = ()
+    skipped_controls: tuple[str, ...] = ()
 
     @classmethod
     def empty(cls, names: Sequence[str]) -> "Survey":
@@ -105,29 +107,29 @@ class Survey:
 
 def resolve(
     images: Mapping[str, SurveyedImage],
-    marks: Mapping[str, SurveyedMark],
+    controls: Mapping[str, ControlPoint],
     bars: Sequence[ScaleBar],
     names: Sequence[str],
 ) -> Survey:
-    """The survey of an alignment with images `names`; what is measured of other images is skipped (see `Survey`).
+    """The survey of a scene with images `names`; what is measured of other images is skipped (see `Survey`).
 
-    Tables keep the order of their arguments. The ends of `bars` must be among `marks`.
+    Tables keep the order of their arguments. The ends of `bars` must be among `controls`.
     """
     index = {name: i for i, name in enumerate(names)}
-    mentioned = dict.fromkeys((*images, *(image for mark in marks.values() for image in mark.pixels)))
+    mentioned = dict.fromkeys((*images, *(image for point in controls.values() for image in point.pixels)))
     seen = {
-        name: replace(mark, pixels={image: pixel for image, pixel in mark.pixels.items() if image in index})
-        for name, mark in marks.items()
+        name: replace(point, pixels={image: pixel for image, pixel in point.pixels.items() if image in index})
+        for name, point in controls.items()
     }
-    placed = {name: mark for name, mark in seen.items() if mark.is_placed}
+    placed = {name: point for name, point in seen.items() if point.is_placed}
     number = {name: i for i, name in enumerate(placed)}
     here = [(index[name], image) for name, image in images.items() if name in index]
     down = [(i, *image.down) for i, image in here if image.down is not None]
     height = [(i, *image.height) for i, image in here if image.height is not None]
     center = [(i, *image.center) for i, image in here if image.center is not None]
-    observations = [(index[i], number[name], uv) for name, mark in placed.items() for i, uv in mark.pixels.items()]
-    known = [(number[name], *mark.known) for name, mark in placed.items() if mark.known is not None]
-    waterline = [(number[name], mark.waterline) for name, mark in placed.items() if mark.waterline is not None]
+    observations = [(index[i], number[name], uv) for name, point in placed.items() for i, uv in point.pixels.items()]
+    known = [(number[name], *point.known) for name, point in placed.items() if point.known is not None]
+    waterline = [(number[name], point.waterline) for name, point in placed.items() if point.waterline is not None]
     bars = [bar for bar in bars if bar.start in placed and bar.end in placed]
     return Survey(
         names=tuple(names),
@@ -140,27 +142,27 @@ def resolve(
         center=_floats((row[1] for row in center), 3),
         center_information=_floats((row[2] for row in center), 3, 3),
         center_image=_longs(row[0] for row in center),
-        mark_names=tuple(placed),
-        mark_image=_longs(row[0] for row in observations),
-        mark=_longs(row[1] for row in observations),
-        mark_pixels=_floats((row[2] for row in observations), 2),
-        known_mark=_longs(row[0] for row in known),
+        control_names=tuple(placed),
+        control_image=_longs(row[0] for row in observations),
+        control=_longs(row[1] for row in observations),
+        control_pixels=_floats((row[2] for row in observations), 2),
+        known_control=_longs(row[0] for row in known),
         known_position=_floats((row[1] for row in known), 3),
         known_information=_floats((row[2] for row in known), 3, 3),
-        waterline_mark=_longs(row[0] for row in waterline),
+        waterline_control=_longs(row[0] for row in waterline),
         waterline_sigma=_floats(row[1] for row in waterline),
         bar_from=_longs(number[bar.start] for bar in bars),
         bar_to=_longs(number[bar.end] for bar in bars),
         bar_length=_floats(bar.length for bar in bars),
         bar_sigma=_floats(bar.sigma for bar in bars),
         skipped=tuple(name for name in mentioned if name not in index),
-        skipped_marks=tuple(name for name in marks if name not in placed),
+        skipped_controls=tuple(name for name in controls if name not in placed),
     )
 
 
-def _floats(rows: Iterable[Any], *shape: int) -> Tensor:
+def _floats(rows: Iterable[Any], *shape: int) -> Float[Tensor, "n *shape"]:
     return torch.tensor(list(rows), dtype=torch.float64).reshape(-1, *shape)
 
 
-def _longs(rows: Iterable[int]) -> Tensor:
+def _longs(rows: Iterable[int]) -> Int[Tensor, " n"]:
     return torch.tensor(list(rows), dtype=torch.long)

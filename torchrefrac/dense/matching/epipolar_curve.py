@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -25,14 +26,14 @@ STEPS = 4  # Gauss-Newton; within the band the curve bends so little that these 
 class Candidates:
     """k pairs that may match, ordered by `point`, then `other`.
 
-    point (k): index of the reference point; other (k): index of the other image's point; distance (k): along the
-    reference ray (see `PixelRays`), where its image passes nearest to the other point; offset (k): how near, in pixels.
+    point: index of the reference point; other: index of the other image's point; distance: along the reference ray (see
+    `PixelRays`), where its image passes nearest to the other point; offset: how near, in pixels.
     """
 
-    point: Tensor
-    other: Tensor
-    distance: Tensor
-    offset: Tensor
+    point: Int[Tensor, " k"]
+    other: Int[Tensor, " k"]
+    distance: Float[Tensor, " k"]
+    offset: Float[Tensor, " k"]
 
     def __len__(self) -> int:
         return len(self.point)
@@ -40,17 +41,17 @@ class Candidates:
 
 def find_candidates(
     rays: PixelRays,
-    kind: Tensor,
+    kind: Int[Tensor, " n"],
     camera: RefractiveCamera,
     others: InterestPoints,
-    near: Tensor,
-    far: Tensor,
+    near: Float[Tensor, "..."],
+    far: Float[Tensor, "..."],
     band: float = 2.0,
     spacing: float = 4.0,
 ) -> Candidates:
     """All points of another image that lie within `band` pixels of the image of a reference ray, and are of its kind.
 
-    rays, kind (n): of the reference points; camera: of the other image; near, far (n): distances along the rays between
+    rays (n) and kind: of the reference points; camera: of the other image; near, far: distances along the rays between
     which to look. The curves are followed by chords of about `spacing` pixels, longer ones only where 512 do not
     suffice; the nearest place on the curve is then found exactly, on either side of the water.
 
@@ -71,11 +72,11 @@ def find_candidates(
 
 def _nearest(
     rays: PixelRays,
-    kind: Tensor,
+    kind: Int[Tensor, " n"],
     camera: RefractiveCamera,
     curve: Curve,
     others: InterestPoints,
-    frame: Tensor,
+    frame: Float[Tensor, "2 2"],
     band: float,
 ) -> Candidates:
     """One pair at most of each row and point: of the nearest places on the chords before and beyond the water."""
@@ -86,18 +87,18 @@ def _nearest(
     share = ((at - start) * along).sum(dim=-1) / along.square().sum(dim=-1).clamp(min=MIN_CHORD**2)
     gap = (start + share.clamp(0.0, 1.0)[:, None] * along - at).norm(dim=-1)
     before = curve.distance[row, chord + 1] <= 0.0
-    kept = strongest(2 * (row * len(others) + other) + before, -gap, 1)
-    row, chord, other = row[kept], chord[kept], other[kept]
-    distance, offset, valid = _refined(rays[row], camera, curve.distance, row, chord, at[kept])
+    nearest = strongest(2 * (row * len(others) + other) + before, -gap, 1)
+    row, chord, other = row[nearest], chord[nearest], other[nearest]
+    distance, offset, valid = _refined(rays[row], camera, curve.distance, row, chord, at[nearest])
     good = (valid & (offset <= band)).nonzero()[:, 0]
     good = good[strongest(row[good] * len(others) + other[good], -offset[good], 1)]
     return Candidates(row[good], other[good], distance[good], offset[good])
 
 
 def _near_chords(
-    kind: Tensor, curve: Curve, others: InterestPoints, frame: Tensor, band: float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Rows (k), chords (k) and points (k) of the same kind that may come within the band of each other.
+    kind: Int[Tensor, " n"], curve: Curve, others: InterestPoints, frame: Float[Tensor, "2 2"], band: float
+) -> tuple[Int[Tensor, " k"], Int[Tensor, " k"], Int[Tensor, " k"]]:
+    """Rows, chords and points of the same kind that may come within the band of each other.
 
     Around a chord's middle is searched as far as half of it and the band reach, and half a chord more, which the curve
     may depart from it. Chords are taken together by length, so that few long ones do not make the search wide for all.
@@ -111,7 +112,7 @@ def _near_chords(
     middle = (inside[row, chord] + inside[row, chord + 1]) / 2.0
     apart = 4.0 * float((frame[1] - frame[0]).norm())  # between the kinds, as a third coordinate
 
-    def tree(pixels: Tensor, of_kind: Tensor) -> KDTree:
+    def tree(pixels: Float[Tensor, "p 2"], of_kind: Int[Tensor, " p"]) -> KDTree:
         points = torch.cat((pixels, apart * of_kind.to(pixels)[:, None]), dim=-1)
         return KDTree(points.cpu().numpy(), balanced_tree=False, compact_nodes=False)
 
@@ -130,12 +131,17 @@ def _near_chords(
 
 
 def _refined(
-    rays: PixelRays, camera: RefractiveCamera, known: Tensor, row: Tensor, chord: Tensor, at: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Distances (k) along rays (k) whose images lie nearest to pixels (k, 2), how near (k), and validity (k).
+    rays: PixelRays,
+    camera: RefractiveCamera,
+    known: Float[Tensor, "n s"],
+    row: Int[Tensor, " k"],
+    chord: Int[Tensor, " k"],
+    at: Float[Tensor, "k 2"],
+) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"], Bool[Tensor, " k"]]:
+    """Distances along rays whose images lie nearest to the pixels `at`, how near, and validity.
 
-    By Gauss-Newton on the exact projection, from the middle of a chord (k) of a row (k) of `known` distances (n, s),
-    as far as the chords beside it reach, but not across the water.
+    By Gauss-Newton on the exact projection, from the middle of a chord of a row of `known` distances, as far as the
+    chords beside it reach, but not across the water.
     """
     start, end = known[row, chord], known[row, chord + 1]
     lower, upper = known[row, (chord - 1).clamp(min=0)], known[row, (chord + 2).clamp(max=known.shape[1] - 1)]

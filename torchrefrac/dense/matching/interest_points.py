@@ -7,6 +7,7 @@ over the image, as many as there are in every square of it.
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from torchrefrac.checks import require, require_ending
@@ -23,25 +24,25 @@ AROUND = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1))
 
 @dataclass(frozen=True)
 class InterestPoints:
-    """n points of one image. pixels (n, 2) float64, COLMAP's convention; kind (n) int64: 0 corner, 1 blob."""
+    """Points of one image; kind: 0 corner, 1 blob."""
 
-    pixels: Tensor
-    kind: Tensor
+    pixels: Float[Tensor, "n 2"]
+    kind: Int[Tensor, " n"]
 
     def __len__(self) -> int:
         return len(self.kind)
 
 
 def detect_interest_points(
-    image: Tensor, per_cell: int = 4, cell: int = 32, mask: Tensor | None = None
+    image: Shaped[Tensor, "h w"], per_cell: int = 4, cell: int = 32, mask: Shaped[Tensor, "h w"] | None = None
 ) -> InterestPoints:
-    """Corners and blobs of a grey image (h, w), 0 to 255, to a fraction of a pixel.
+    """Corners and blobs of a grey image, 0 to 255, to a fraction of a pixel.
 
     Corners are maxima of Harris's response to the image smoothed by a Gaussian, blobs maxima and minima of the
     difference of two Gaussians, among their 3 x 3 neighbours. Each lies at the vertex of the parabola through its
     neighbours. In each square of cell x cell pixels the strongest `per_cell` of either kind stay. Nothing is found
     within 4 pixels of the border, nor where the response is no stronger than noise with a standard deviation of one
-    grey level makes it. mask (h, w): pixels that points may lie in; None: all.
+    grey level makes it. mask: pixels that points may lie in; None: all.
 
     Points come corners first, square by square, the strongest of each first.
 
@@ -78,12 +79,14 @@ def detect_interest_points(
         pixels, strength, kind = pixels[allowed], strength[allowed], kind[allowed]
     column, row = (pixels / cell).long().unbind(dim=-1)
     square = (kind * (height // cell + 1) + row) * (width // cell + 1) + column
-    kept = strongest(square, strength, per_cell)
-    return InterestPoints(pixels[kept], kind[kept])
+    best = strongest(square, strength, per_cell)
+    return InterestPoints(pixels[best], kind[best])
 
 
-def _peaks(response: Tensor, least: float, elongation: float) -> tuple[Tensor, Tensor]:
-    """Pixels (k, 2) of the maxima of a response (h, w) that reach `least`, and the response there (k).
+def _peaks(
+    response: Float[Tensor, "h w"], least: float, elongation: float
+) -> tuple[Float[Tensor, "k 2"], Float[Tensor, " k"]]:
+    """Pixels of the maxima of a response that reach `least`, and the response there.
 
     Of equal neighbours the first counts. Maxima without a vertex nearby, or elongated ones, are left out.
     """
@@ -99,8 +102,8 @@ def _peaks(response: Tensor, least: float, elongation: float) -> tuple[Tensor, T
     return at[sharp], around[sharp, 4]
 
 
-def _vertex(around: Tensor, elongation: float) -> tuple[Tensor, Tensor]:
-    """Shift (k, 2) from the middle of 3 x 3 values (k, 9) to the vertex of their parabola, and where there is one (k).
+def _vertex(around: Float[Tensor, "k 9"], elongation: float) -> tuple[Float[Tensor, "k 2"], Bool[Tensor, " k"]]:
+    """Shift from the middle of 3 x 3 values to the vertex of their parabola, and where there is one.
 
     From central differences, as in Brown & Lowe, BMVC 2002.
     """
@@ -115,8 +118,8 @@ def _vertex(around: Tensor, elongation: float) -> tuple[Tensor, Tensor]:
     return shift, peaked & rounded & (shift.abs() <= MAX_SHIFT).all(dim=-1)
 
 
-def strongest(group: Tensor, strength: Tensor, count: int) -> Tensor:
-    """Rows (k), group by group, of the `count` strongest of each group (n), the strongest first."""
+def strongest(group: Int[Tensor, " n"], strength: Float[Tensor, " n"], count: int) -> Int[Tensor, " k"]:
+    """Rows, group by group, of the `count` strongest of each group, the strongest first."""
     order = strength.argsort(descending=True, stable=True)
     order = order[group[order].argsort(stable=True)]
     group = group[order]

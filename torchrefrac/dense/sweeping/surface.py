@@ -3,6 +3,7 @@
 import math
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 LOWEST = -1.0  # a score of what cannot be seen
@@ -14,12 +15,12 @@ RIDGE = 1.0  # neighbours at one pixel's distance that say that a plane has no s
 TINY = 1e-6
 
 
-def box(values: Tensor, size: int) -> Tensor:
-    """Means over size x size pixels of (*B, h, w), where these lie inside: (*B, h - size + 1, w - size + 1)."""
+def box(values: Float[Tensor, "*batch h w"], size: int) -> Float[Tensor, "*batch h-{size}+1 w-{size}+1"]:
+    """Means over size x size pixels, where these lie inside."""
     return _sum(_sum(values, size, -2), size, -1) * size**-2.0
 
 
-def _sum(values: Tensor, size: int, dim: int) -> Tensor:
+def _sum(values: Float[Tensor, "*given"], size: int, dim: int) -> Float[Tensor, "*fewer"]:
     """Of `size` neighbours along a dimension, by doubling: faster than pooling and convolution on CPUs."""
     if size == 1:
         return values
@@ -29,10 +30,12 @@ def _sum(values: Tensor, size: int, dim: int) -> Tensor:
     return both + values.narrow(dim, size - 1, length) if size % 2 else both
 
 
-def best_half(score: Tensor, usable: Tensor, fewest: int, most: int) -> Tensor:
-    """Mean (r, c) of the better half of each pixel's scores (m, r, c): an image that it is hidden in has no say.
+def best_half(
+    score: Float[Tensor, "m r c"], usable: Int[Tensor, "r c"], fewest: int, most: int
+) -> Float[Tensor, "r c"]:
+    """Mean of the better half of each pixel's scores: an image that it is hidden in has no say.
 
-    usable (r, c): how many scores mean something; the others are `LOWEST`, and so is the mean of fewer than `fewest`.
+    usable: how many scores mean something; the others are `LOWEST`, and so is the mean of fewer than `fewest`.
     At least `fewest` are averaged, and not more than `most`.
     """
     rest = list(score.unbind(dim=0))
@@ -54,12 +57,12 @@ class Peaks:
     one side: a pixel that has its best score there has none.
     """
 
-    def __init__(self, like: Tensor) -> None:
+    def __init__(self, like: Float[Tensor, "r c"]) -> None:
         self.before = self.last = torch.full_like(like, LOWEST)
         self.step, self.score = torch.zeros_like(like), torch.full_like(like, LOWEST)
         self.count = 0
 
-    def add(self, score: Tensor) -> None:
+    def add(self, score: Float[Tensor, "r c"]) -> None:
         """Of the next step."""
         higher = (self.last > self.score) & (self.last >= score)
         bend = (2.0 * self.last - self.before - score).clamp_(min=TINY)
@@ -69,17 +72,19 @@ class Peaks:
         self.before, self.last = self.last, score
         self.count += 1
 
-    def finish(self) -> tuple[Tensor, Tensor]:
-        """The best steps and their scores (r, c)."""
+    def finish(self) -> tuple[Float[Tensor, "r c"], Float[Tensor, "r c"]]:
+        """The best steps and their scores."""
         self.add(torch.full_like(self.last, LOWEST))
         inside = (self.step > 0.5) & (self.step < self.count - 2.5)
         return self.step, torch.where(inside, self.score, LOWEST)
 
 
-def fit_planes(step: Tensor, score: Tensor) -> tuple[Tensor, Tensor]:
-    """Planes step = a + b x + c y around each lattice pixel, (a, b, c) as (3, r, c), and mean scores (r, c) of them.
+def fit_planes(
+    step: Float[Tensor, "r c"], score: Float[Tensor, "r c"]
+) -> tuple[Float[Tensor, "3 r c"], Float[Tensor, "r c"]]:
+    """Planes step = a + b x + c y around each lattice pixel, as (a, b, c), and mean scores of them.
 
-    step (r, c) is NaN where there is none. Outliers have little weight (the loss of Geman and McClure, from the median
+    step is NaN where there is none. Outliers have little weight (the loss of Geman and McClure, from the median
     of the nearest on); a score is `LOWEST` where too few neighbours agree.
     """
     values = _neighbours(step, math.nan)
@@ -101,14 +106,14 @@ def fit_planes(step: Tensor, score: Tensor) -> tuple[Tensor, Tensor]:
     return plane.view(3, *step.shape), torch.where(agrees, mean_score, LOWEST).view(step.shape)
 
 
-def _neighbours(values: Tensor, fill: float) -> Tensor:
-    """Values (r, c) around each pixel, itself in the middle: ((2 REACH + 1)^2, r c)."""
+def _neighbours(values: Float[Tensor, "r c"], fill: float) -> Float[Tensor, "around r*c"]:
+    """Values around each pixel, itself in the middle: (2 REACH + 1)^2 of them."""
     padded = torch.nn.functional.pad(values[None, None], (REACH,) * 4, value=fill)
     return torch.nn.functional.unfold(padded, 2 * REACH + 1)[0]
 
 
-def _least_squares(moments: Tensor, sums: Tensor) -> Tensor:
-    """(a, b, c) as (3, N), from weighted sums of 1, x, y, x^2, x y, y^2 (6, N), and of v, v x, v y (3, N)."""
+def _least_squares(moments: Float[Tensor, "6 n"], sums: Float[Tensor, "3 n"]) -> Float[Tensor, "3 n"]:
+    """(a, b, c) from weighted sums of 1, x, y, x^2, x y, y^2, and of v, v x, v y."""
     total, sx, sy, sxx, sxy, syy = moments
     sv, sxv, syv = sums
     per = total.clamp(min=TINY).reciprocal()

@@ -2,13 +2,14 @@
 
 The pixels of a small copy of the reference are put at one distance after the other along their own bent rays (Collins,
 CVPR 1996, sweeps a plane; points at one distance need not lie in one), looked up in the other images and compared in
-small windows. Through the distances that agree best a plane is laid around each pixel, which also tells the normal.
+small windows. Through the distances that agree best a plane is laid around each pixel, which gives the normal, too.
 """
 
 import math
 from collections.abc import Iterator
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -21,18 +22,18 @@ from torchrefrac.dense.sweeping.lattice import Copies, Lattice
 from torchrefrac.dense.sweeping.surface import LOWEST, Peaks, best_half, box, fit_planes
 
 IMAGES = 6  # others that are looked into at most
-PROBES = 9  # rays each way that tell how far the distances are to be apart
+PROBES = 9  # rays each way that decide how far the distances are to be apart
 STEP = 1.0  # pixels of the copies that something moves from one distance to the next
 MOST = 0.75  # of what is seen moves by less than that
 FEWEST = 6  # distances of the narrowest range: best between them, not at its ends
 AHEAD = 32  # distances projected at once
 
 
-def sweep(scope: Scope, options: DenseOptions) -> tuple[Tensor, Planes, Tensor]:
+def sweep(scope: Scope, options: DenseOptions) -> tuple[Float[Tensor, "k 2"], Planes, Float[Tensor, " k"]]:
     """Guesses for the cells of the tile, good enough for `refine`.
 
-    Returns the centres (k, 2) of the cells that have one, in the order of `Scope.centers`, their planes (k), each
-    through a point on the centre's ray, and their scores (k), a mean ZNCC. A cell has none where the images do not
+    Returns the centres of the cells that have one, in the order of `Scope.centers`, their planes, each through a point
+    on the centre's ray, and their scores, a mean ZNCC. A cell has none where the images do not
     agree to `sweep.min_score`, where they agree best at `near` or `far` itself, and where it has no neighbours of like
     distance.
     """
@@ -47,8 +48,8 @@ def sweep(scope: Scope, options: DenseOptions) -> tuple[Tensor, Planes, Tensor]:
     return _guesses(scope, lattice, distances, *fit_planes(step, score), options)
 
 
-def _distances(scope: Scope, others: RefractiveCamera, lattice: Lattice, options: DenseOptions) -> Tensor:
-    """Distances (n) between which things move by `STEP` in the other images; by more where that would be too many, by
+def _distances(scope: Scope, others: RefractiveCamera, lattice: Lattice, options: DenseOptions) -> Float[Tensor, " n"]:
+    """Distances between which things move by `STEP` in the other images; by more where that would be too many, by
     less where too few."""
     columns, rows = (torch.linspace(0.0, n - 1.0, PROBES, dtype=torch.float64) for n in (lattice.width, lattice.height))
     rays = PixelRays.cast(scope.cameras[0], lattice.pixels(columns, rows).view(-1, 2))
@@ -66,9 +67,9 @@ def _distances(scope: Scope, others: RefractiveCamera, lattice: Lattice, options
 
 
 def _best_steps(
-    scope: Scope, others: RefractiveCamera, lattice: Lattice, distances: Tensor, options: DenseOptions
-) -> tuple[Tensor, Tensor]:
-    """Which distance is best for each lattice pixel (r, c), as a fraction between two, and its score (r, c)."""
+    scope: Scope, others: RefractiveCamera, lattice: Lattice, distances: Float[Tensor, " n"], options: DenseOptions
+) -> tuple[Float[Tensor, "r c"], Float[Tensor, "r c"]]:
+    """Which distance is best for each lattice pixel, as a fraction between two, and its score."""
     radius, size, fewest = lattice.radius, 2 * lattice.radius + 1, fewest_others(scope, options)
     f = lattice.grey_of(scope)
     mean_f = box(f, size)
@@ -81,7 +82,7 @@ def _best_steps(
         mean_g, square_g, fg = box(torch.stack((g, g * g, f * g)), size)
         var_g = (square_g - mean_g * mean_g).clamp_(min=0.0)
         zncc = (fg - mean_f * mean_g) * ((var_f + floor) * (var_g + floor)).rsqrt_()
-        usable = copies.holds_window(at[:, radius : radius + height, radius : radius + width])
+        usable = copies.fits_window(at[:, radius : radius + height, radius : radius + width])
         if allowed is not None:
             usable = usable & (box(allowed, size) > 0.999)
         peaks.add(best_half(torch.where(usable, zncc, LOWEST), usable.sum(dim=0), fewest, options.views))
@@ -90,8 +91,10 @@ def _best_steps(
     return torch.nn.functional.pad(step, (radius,) * 4), torch.nn.functional.pad(score, (radius,) * 4, value=LOWEST)
 
 
-def _places(scope: Scope, others: RefractiveCamera, lattice: Lattice, distances: Tensor) -> Iterator[Tensor]:
-    """For each distance, image pixels (m, r, c, 2) where the lattice is seen; far outside where it is not."""
+def _places(
+    scope: Scope, others: RefractiveCamera, lattice: Lattice, distances: Float[Tensor, " n"]
+) -> Iterator[Float[Tensor, "m r c 2"]]:
+    """For each distance, image pixels where the lattice is seen; far outside where it is not."""
     columns, rows, spread = lattice.nodes()
     rays = PixelRays.cast(scope.cameras[0], lattice.pixels(columns, rows))
     for some in distances.split(AHEAD):
@@ -104,8 +107,13 @@ def _places(scope: Scope, others: RefractiveCamera, lattice: Lattice, distances:
 
 
 def _guesses(
-    scope: Scope, lattice: Lattice, distances: Tensor, plane: Tensor, score: Tensor, options: DenseOptions
-) -> tuple[Tensor, Planes, Tensor]:
+    scope: Scope,
+    lattice: Lattice,
+    distances: Float[Tensor, " n"],
+    plane: Float[Tensor, "3 r c"],
+    score: Float[Tensor, "r c"],
+    options: DenseOptions,
+) -> tuple[Float[Tensor, "k 2"], Planes, Float[Tensor, " k"]]:
     """What `sweep` returns: each cell lies in the plane of the lattice pixel that it is nearest to."""
     pixels = scope.centers(options.cell).view(-1, 2)
     at = lattice.locate(pixels)
@@ -120,12 +128,14 @@ def _guesses(
     return pixels, Planes(points, _normals(scope, lattice, distances, plane)[row, column]), score[good]
 
 
-def _normals(scope: Scope, lattice: Lattice, distances: Tensor, plane: Tensor) -> Tensor:
-    """Unit normals (r, c, 3) in the world frame, from where the rays of each lattice pixel's corners end."""
+def _normals(
+    scope: Scope, lattice: Lattice, distances: Float[Tensor, " n"], plane: Float[Tensor, "3 r c"]
+) -> Float[Tensor, "r c 3"]:
+    """Unit normals in the world frame, from where the rays of each lattice pixel's corners end."""
     columns, rows = (torch.arange(n + 1, dtype=torch.float64) - 0.5 for n in (lattice.width, lattice.height))
     rays = PixelRays.cast(scope.cameras[0], lattice.pixels(columns, rows))
 
-    def end(right: int, below: int) -> Tensor:
+    def end(right: int, below: int) -> Float[Tensor, "r c 3"]:
         step = plane[0] + (right - 0.5) * plane[1] + (below - 0.5) * plane[2]
         corner = (slice(below, below + lattice.height), slice(right, right + lattice.width))
         return rays[corner].at(_distance_of(step, distances))
@@ -134,17 +144,19 @@ def _normals(scope: Scope, lattice: Lattice, distances: Tensor, plane: Tensor) -
     return torch.nn.functional.normalize(normals, dim=-1)
 
 
-def _distance_of(step: Tensor, distances: Tensor) -> Tensor:
+def _distance_of(step: Float[Tensor, "*batch"], distances: Float[Tensor, " n"]) -> Float[Tensor, "*batch"]:
     return _interpolate(step, torch.arange(len(distances), dtype=step.dtype, device=step.device), distances)
 
 
-def _interpolate(at: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """y(at), linear between x (n), which does not fall, and beyond its ends."""
+def _interpolate(
+    at: Float[Tensor, "*batch"], x: Float[Tensor, " n"], y: Float[Tensor, " n"]
+) -> Float[Tensor, "*batch"]:
+    """y(at), linear between x, which does not fall, and beyond its ends."""
     i = torch.searchsorted(x, at.contiguous(), right=True).clamp(1, len(x) - 1)
     width = (x[i] - x[i - 1]).clamp(min=1e-12)
     return y[i - 1] + (y[i] - y[i - 1]) * ((at - x[i - 1]) / width)
 
 
-def _ahead(camera: RefractiveCamera, rays: PixelRays, points: Tensor) -> Tensor:
-    """Whether points (*B, 3) of the rays lie in front of their camera, not behind it."""
+def _ahead(camera: RefractiveCamera, rays: PixelRays, points: Float[Tensor, "*batch 3"]) -> Bool[Tensor, "*batch"]:
+    """Whether points of the rays lie in front of their camera, not behind it."""
     return ((points - camera.center_in_world) * rays.before).sum(dim=-1) > 0.0

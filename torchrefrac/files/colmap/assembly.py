@@ -1,16 +1,17 @@
-"""Between the tables of a COLMAP model and an `Alignment`: ids resolved, checked and given."""
+"""Between the tables of a COLMAP model and a `Scene`: ids resolved, checked and given."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from torchrefrac.files.colmap.tables import NO_POINT, CameraRow, ImageTable, PointTable, lens_of, row_of
-from torchrefrac.geometry import rotate
+from torchrefrac.files.colmap.tables import NO_POINT, CameraRow, ImageTable, PointTable, intrinsics_of, row_of
+from torchrefrac.geometry import Rigid, rotate
 from torchrefrac.geometry.rotation import _quaternion
-from torchrefrac.scene.alignment import Alignment, AlignmentError
+from torchrefrac.scene import Interfaces, Observations, Scene, SceneError
 
 
 def assemble(
@@ -20,16 +21,16 @@ def assemble(
     cameras_path: Path,
     images_path: Path,
     points_path: Path,
-) -> Alignment:
+) -> Scene:
     """Resolve the ids and check that the three files agree."""
     rows = {row.id: row for row in cameras}
     if len(rows) != len(cameras):
-        raise AlignmentError(f"{cameras_path} gives a camera id twice; export the model again")
+        raise SceneError(f"{cameras_path} gives a camera id twice; export the model again")
     used = sorted(set(images.cameras.tolist()))
     for camera in used:
         if camera not in rows:
             name = images.names[int(np.argmax(images.cameras == camera))]
-            raise AlignmentError(
+            raise SceneError(
                 f"{images_path}: {name} has camera {camera}, which {cameras_path.name} lacks; export the model again"
             )
     order = _sorted_by_id(images.ids, images_path, "image")
@@ -40,24 +41,23 @@ def assemble(
     image, point = _ranks(order)[image], _ranks(point_order)[point]
     by_point = np.argsort(point, kind="stable")
     rotation = _rotation_of(torch.from_numpy(images.quaternions[order]))
-    return Alignment(
-        names=tuple(images.names[i] for i in order.tolist()),
-        lenses=tuple(lens_of(rows[camera], cameras_path) for camera in used),
-        lens=torch.from_numpy(np.searchsorted(np.array(used, dtype=np.int64), images.cameras[order])),
-        rotation=rotation,
-        center=-rotate(rotation.mT, torch.from_numpy(images.translations[order])),
-        points=torch.from_numpy(points.positions[point_order]),
+    pixels = torch.from_numpy(images.pixels[feature[by_point]])
+    return Scene.create(
+        Rigid(rotation, -rotate(rotation.mT, torch.from_numpy(images.translations[order]))),
+        [intrinsics_of(rows[camera], cameras_path) for camera in used],
+        Interfaces.level(1.0),
+        torch.from_numpy(points.positions[point_order]),
+        Observations(torch.from_numpy(image[by_point]), torch.from_numpy(point[by_point]), pixels),
+        names=[images.names[i] for i in order.tolist()],
+        camera=torch.from_numpy(np.searchsorted(np.array(used, dtype=np.int64), images.cameras[order])),
         colors=torch.from_numpy(points.colors[point_order]),
-        image=torch.from_numpy(image[by_point]),
-        point=torch.from_numpy(point[by_point]),
-        pixels=torch.from_numpy(images.pixels[feature[by_point]]),
     ).cleaned()
 
 
 def _check_images(images: ImageTable, path: Path) -> None:
     if len(set(images.names)) != len(images.names):
         twice = next(name for i, name in enumerate(images.names) if name in images.names[:i])
-        raise AlignmentError(f"{path} has two images with the name {twice}; names must differ, rename one")
+        raise SceneError(f"{path} has two images with the name {twice}; names must differ, rename one")
 
     def record(i: int) -> str:
         return f"image {images.ids[i]} ({images.names[i]})"
@@ -66,7 +66,7 @@ def _check_images(images: ImageTable, path: Path) -> None:
     _require_finite(images.translations, path, record, "translation")
     zero = ~images.quaternions.any(axis=1)
     if zero.any():
-        raise AlignmentError(f"{path}: {record(int(zero.argmax()))} has a quaternion of length zero; export it again")
+        raise SceneError(f"{path}: {record(int(zero.argmax()))} has a quaternion of length zero; export it again")
 
 
 def _observations(
@@ -81,7 +81,7 @@ def _observations(
     def refuse(wrong: np.ndarray, problem: Callable[[int], str]) -> None:
         if wrong.any():
             i = int(wrong.argmax())
-            raise AlignmentError(
+            raise SceneError(
                 f"{points_path}: the track of point {points.ids[point[i]]} has {problem(i)}; export the model again"
             )
 
@@ -106,7 +106,7 @@ def _observations(
     if missed.any():
         i = int(missed.argmax())
         name = images.names[int(np.searchsorted(images.starts, i, side="right")) - 1]
-        raise AlignmentError(
+        raise SceneError(
             f"{images_path}: {name} shows point {images.points[i]}, but {points_path.name} has no such point or "
             "does not list the image in its track; export the model again"
         )
@@ -122,9 +122,7 @@ def _require_finite(values: np.ndarray, path: Path, record: Callable[[int], str]
     finite = np.isfinite(values).all(axis=1)
     if not finite.all():
         i = int(finite.argmin())
-        raise AlignmentError(
-            f"{path}: {record(i)} has the {what} {values[i].tolist()}, but it must be finite; remove it"
-        )
+        raise SceneError(f"{path}: {record(i)} has the {what} {values[i].tolist()}, but it must be finite; remove it")
 
 
 def _sorted_by_id(ids: np.ndarray, path: Path, kind: str) -> np.ndarray:
@@ -132,7 +130,7 @@ def _sorted_by_id(ids: np.ndarray, path: Path, kind: str) -> np.ndarray:
     order = np.argsort(ids)
     repeated = np.diff(ids[order]) == 0
     if repeated.any():
-        raise AlignmentError(
+        raise SceneError(
             f"{path} gives {kind} {ids[order][int(repeated.argmax())]} twice; ids must differ, export the model again"
         )
     return order
@@ -145,45 +143,46 @@ def _ranks(order: np.ndarray) -> np.ndarray:
     return ranks
 
 
-def tables_of(alignment: Alignment, errors: Tensor | None) -> tuple[list[CameraRow], ImageTable, PointTable]:
-    """The content of the files, with ids that count from 1."""
-    m, n = len(alignment), len(alignment.points)
-    image, point = _array(alignment.image), _array(alignment.point)
-    by_image = np.argsort(image, kind="stable")
-    starts = np.concatenate(([0], np.cumsum(np.bincount(image, minlength=m))))
-    quaternion = _quaternion(alignment.rotation.detach().double())
+def tables_of(scene: Scene, errors: Float[Tensor, "..."] | None) -> tuple[list[CameraRow], ImageTable, PointTable]:
+    """The content of the files, with ids that count from 1: of registered views."""
+    scene, n = scene.of_views(scene.views.registered), len(scene.points)
+    views, m = scene.views, len(scene.views)
     if errors is None:
         errors = torch.full((n,), -1.0)
     elif errors.shape != (n,):
-        raise AlignmentError(f"errors has shape {tuple(errors.shape)}, but must have {(n,)}, one for each point")
+        raise SceneError(f"errors has shape {tuple(errors.shape)}, but must have {(n,)}, one for each point")
+    image, point = _array(scene.observations.view), _array(scene.observations.point)
+    by_image = np.argsort(image, kind="stable")
+    starts = np.concatenate(([0], np.cumsum(np.bincount(image, minlength=m))))
+    quaternion = _quaternion(views.rotation.detach().double())
     images = ImageTable(
-        names=alignment.names,
+        names=views.names,
         ids=np.arange(1, m + 1),
         quaternions=_array(quaternion),
-        translations=_array(-rotate(_rotation_of(quaternion), alignment.center.detach().double())),
-        cameras=_array(alignment.lens) + 1,
+        translations=_array(-rotate(_rotation_of(quaternion), views.center.detach().double())),
+        cameras=_array(views.camera) + 1,
         starts=starts,
-        pixels=_array(alignment.pixels.double())[by_image],
+        pixels=_array(scene.observations.pixels.double())[by_image],
         points=point[by_image] + 1,
     )
     points = PointTable(
         ids=np.arange(1, n + 1),
-        positions=_array(alignment.points.double()),
-        colors=_array(alignment.colors),
+        positions=_array(scene.points.double()),
+        colors=_array(scene.colors),
         errors=_array(errors.double()),
         lengths=np.bincount(point, minlength=n),
         images=image + 1,
         features=_ranks(by_image) - starts[image],
     )
-    return [row_of(lens, i) for i, lens in enumerate(alignment.lenses, start=1)], images, points
+    return [row_of(scene.cameras[i], i + 1) for i in range(len(scene.cameras))], images, points
 
 
-def _array(values: Tensor) -> np.ndarray:
+def _array(values: Shaped[Tensor, "..."]) -> np.ndarray:
     return values.detach().cpu().numpy()
 
 
-def _rotation_of(quaternion: Tensor) -> Tensor:
-    """Rotation matrices (m, 3, 3) of quaternions wxyz (m, 4) of any length but zero."""
+def _rotation_of(quaternion: Float[Tensor, "m 4"]) -> Float[Tensor, "m 3 3"]:
+    """Rotation matrices of quaternions wxyz of any length but zero."""
     largest = quaternion.abs().amax(dim=-1, keepdim=True)
     w, x, y, z = torch.nn.functional.normalize(quaternion / largest, dim=-1).unbind(dim=-1)
     entries = (

@@ -15,7 +15,7 @@ from torchrefrac.files.colmap.tables import (
     PointTable,
     parameter_count,
 )
-from torchrefrac.scene.alignment import AlignmentError
+from torchrefrac.scene import SceneError
 
 COUNT = struct.Struct("<Q")
 CAMERA = struct.Struct("<IiQQ")
@@ -36,7 +36,7 @@ class _Records:
         self.data = path.read_bytes()
         self.offset = self.record = 0
         if len(self.data) < COUNT.size:
-            raise AlignmentError(f"{path} is truncated before its first record; export the model again")
+            raise SceneError(f"{path} is truncated before its first record; export the model again")
         (self.count,) = self.take(COUNT)
 
     def __iter__(self) -> Iterator[int]:
@@ -44,7 +44,7 @@ class _Records:
             self.record = record
             yield record
         if self.offset != len(self.data):
-            raise AlignmentError(
+            raise SceneError(
                 f"{self.path} has {len(self.data) - self.offset} bytes after the last of its {self.count} {self.kind}; "
                 "export the model again"
             )
@@ -69,12 +69,12 @@ class _Records:
         try:
             return raw.decode("utf-8")
         except UnicodeDecodeError:
-            raise AlignmentError(
+            raise SceneError(
                 f"{self.path}: record {self.record} has the name {raw!r}, which is not UTF-8; rename the image"
             ) from None
 
-    def truncated(self) -> AlignmentError:
-        return AlignmentError(
+    def truncated(self) -> SceneError:
+        return SceneError(
             f"{self.path} is truncated: it ends within record {self.record} of {self.count} {self.kind}; "
             "export the model again"
         )

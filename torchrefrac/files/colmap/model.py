@@ -3,6 +3,7 @@
 from contextlib import ExitStack
 from pathlib import Path
 
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
@@ -23,7 +24,7 @@ from torchrefrac.files.colmap.text import (
     write_images_txt,
     write_points_txt,
 )
-from torchrefrac.scene.alignment import Alignment, AlignmentError
+from torchrefrac.scene import Scene, SceneError
 
 STEMS = ("cameras", "images", "points3D")
 NEWER_STEMS = ("rigs", "frames")
@@ -40,22 +41,22 @@ def find_colmap(folder: Path) -> tuple[Path, str] | None:
     return None
 
 
-def read_colmap(folder: str | Path) -> Alignment:
+def read_colmap(folder: str | Path) -> Scene:
     """Read the COLMAP model in `folder`, `folder`/sparse/0 or `folder`/sparse; binary files before text files.
 
     Images, cameras and points are put in the order of their ids; cameras that no image has are left out, and so are
     features without a point. Observations of a point are in the order of its track; of several in one image the first
-    stays, and a point that fewer than two images see is dropped. The frame is the model's own and the length unit
-    "unit". rigs and frames files, which COLMAP writes since 3.12, are not needed.
+    stays, and a point that fewer than two images see is dropped. The frame is the model's own, the length unit "unit"
+    and the index ratio 1: a model knows no water. rigs and frames files (COLMAP 3.12 writes them) are not needed.
 
-    Raises AlignmentError, with the file and the line or record, where a file is missing, truncated or inconsistent, has
+    Raises SceneError, with the file and the line or record, where a file is missing, truncated or inconsistent, has
     a number that is not finite, a quaternion of zero length, or a camera model other than SIMPLE_PINHOLE, PINHOLE,
     SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV (with k4, k5 and k6 of 0).
     """
     folder = Path(folder)
     found = find_colmap(folder)
     if found is None:
-        raise AlignmentError(_what_is_missing(folder))
+        raise SceneError(_what_is_missing(folder))
     place, ending = found
     paths = [place / f"{stem}{ending}" for stem in STEMS]
     if ending == ".bin":
@@ -65,27 +66,28 @@ def read_colmap(folder: str | Path) -> Alignment:
     return assemble(*tables, *paths)
 
 
-def write_colmap(alignment: Alignment, folder: str | Path, binary: bool = False, errors: Tensor | None = None) -> None:
-    """Write cameras, images and points3D, as text or binary files; ids count from 1 in the order of the alignment.
+def write_colmap(
+    scene: Scene, folder: str | Path, binary: bool = False, errors: Float[Tensor, "..."] | None = None
+) -> None:
+    """Write cameras, images and points3D of a finished scene, as text or binary files; ids count from 1 in the order of
+    its cameras, registered views and points. Its water has no place in them.
 
-    `errors` (n): the reprojection error of each point in pixels, which the files have a place for; -1 (unknown) by
-    default. A lens becomes a PINHOLE camera where its distortion is zero, OPENCV where k3 is, else FULL_OPENCV. All
-    numbers survive to the last bit except poses, which the files hold as quaternion and translation: 1e-15 or so. The
-    files replace those of an earlier model only once all three are complete. Raises AlignmentError where `folder` holds
-    files that whoever reads the model would take for a part of it, and for a name that the files cannot keep.
+    `errors`: the reprojection error of each point in pixels, which the files have a place for; -1 (unknown) by default.
+    Intrinsics become a PINHOLE camera where the distortion is zero, OPENCV where k3 is, else FULL_OPENCV. All numbers
+    survive to the last bit except poses, which the files hold as quaternion and translation: 1e-15 or so. The files
+    replace those of an earlier model only once all three are complete. Raises SceneError where `folder` holds files
+    that whoever reads the model would take for a part of it, and for a name that the files cannot keep.
     """
     folder, ending = Path(folder), ".bin" if binary else ".txt"
     others = [f"{stem}{'.txt' if binary else '.bin'}" for stem in STEMS]
     others += [f"{stem}{kind}" for stem in NEWER_STEMS for kind in (".bin", ".txt")]
     stale = [name for name in others if (folder / name).exists()]
     if stale:
-        raise AlignmentError(
-            f"{folder} holds {', '.join(stale)} of another model; give an empty folder, or remove them"
-        )
-    cameras, images, points = tables_of(alignment, errors)
+        raise SceneError(f"{folder} holds {', '.join(stale)} of another model; give an empty folder, or remove them")
+    cameras, images, points = tables_of(scene, errors)
     for name in images.names:
         if not name or "\0" in name:
-            raise AlignmentError(f"an image has the name {name!r}, which a COLMAP model cannot keep; rename it")
+            raise SceneError(f"an image has the name {name!r}, which a COLMAP model cannot keep; rename it")
     write_cameras = write_cameras_bin if binary else write_cameras_txt
     write_images = write_images_bin if binary else write_images_txt
     write_points = write_points_bin if binary else write_points_txt

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from torchrefrac.camera import Intrinsics
-from torchrefrac.scene.alignment import AlignmentError
+from torchrefrac.scene import SceneError
 
 NO_POINT = -1
 MODELS = {0: "SIMPLE_PINHOLE", 1: "PINHOLE", 2: "SIMPLE_RADIAL", 3: "RADIAL", 4: "OPENCV", 6: "FULL_OPENCV"}
@@ -77,31 +77,29 @@ class PointTable:
 
 
 def parameter_count(model: str, camera: int, path: Path) -> int:
-    """How many parameters a camera model has; AlignmentError for one that `Intrinsics` cannot hold."""
+    """How many parameters a camera model has; SceneError for one that `Intrinsics` cannot hold."""
     if model not in PARAMETERS:
-        raise AlignmentError(
+        raise SceneError(
             f"{path}: camera {camera} has the model {model}, but understood are {', '.join(PARAMETERS)}; calibrate "
             "with one of these, or undistort the images"
         )
     return PARAMETERS[model]
 
 
-def lens_of(row: CameraRow, path: Path) -> Intrinsics:
-    """The lens that a camera of a COLMAP model describes, exactly: none of the models understood needs a conversion."""
+def intrinsics_of(row: CameraRow, path: Path) -> Intrinsics:
+    """What a camera of a COLMAP model describes, exactly: none of the models understood needs a conversion."""
     where = f"{path}: camera {row.id}"
     if row.width < 1 or row.height < 1:
-        raise AlignmentError(f"{where} is {row.width}x{row.height} pixels, but must be at least 1x1; correct its size")
+        raise SceneError(f"{where} is {row.width}x{row.height} pixels, but must be at least 1x1; correct its size")
     if not np.isfinite(row.parameters).all():
-        raise AlignmentError(f"{where} has a parameter that is not finite; calibrate it again")
+        raise SceneError(f"{where} has a parameter that is not finite; calibrate it again")
     focals = 1 if row.model in SHARED_FOCAL else 2
     focal = (row.parameters[0], row.parameters[focals - 1])
     principal, distortion = row.parameters[focals : focals + 2], row.parameters[focals + 2 :]
     if min(focal) <= 0.0:
-        raise AlignmentError(
-            f"{where} has a focal length of {min(focal):g}, but it must be above 0; calibrate it again"
-        )
+        raise SceneError(f"{where} has a focal length of {min(focal):g}, but it must be above 0; calibrate it again")
     if any(distortion[5:]):
-        raise AlignmentError(
+        raise SceneError(
             f"{where} is FULL_OPENCV with k4, k5, k6 = {', '.join(f'{k:g}' for k in distortion[5:])}, but only 0 is "
             "understood; calibrate with OPENCV, or undistort the images"
         )
@@ -109,9 +107,15 @@ def lens_of(row: CameraRow, path: Path) -> Intrinsics:
     return Intrinsics.create(row.width, row.height, focal, principal, k)
 
 
-def row_of(lens: Intrinsics, camera: int) -> CameraRow:
-    """The camera of a COLMAP model that a lens is: PINHOLE without distortion, OPENCV without k3, else FULL_OPENCV."""
-    numbers = torch.cat((lens.focal, lens.principal_point, lens.distortion)).detach().cpu().double().tolist()
+def row_of(intrinsics: Intrinsics, camera: int) -> CameraRow:
+    """A camera of a COLMAP model: PINHOLE without distortion, OPENCV without k3, else FULL_OPENCV."""
+    numbers = (
+        torch.cat((intrinsics.focal, intrinsics.principal_point, intrinsics.distortion))
+        .detach()
+        .cpu()
+        .double()
+        .tolist()
+    )
     k1, k2, p1, p2, k3 = numbers[4:]
     if not any(numbers[4:]):
         model = "PINHOLE"
@@ -120,4 +124,4 @@ def row_of(lens: Intrinsics, camera: int) -> CameraRow:
     else:
         model = "FULL_OPENCV"
     full = (*numbers[:4], k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)
-    return CameraRow(camera, model, lens.width, lens.height, full[: PARAMETERS[model]])
+    return CameraRow(camera, model, intrinsics.width, intrinsics.height, full[: PARAMETERS[model]])

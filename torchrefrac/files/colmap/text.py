@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from torchrefrac.files.colmap.tables import CameraRow, ImageTable, PointTable, parameter_count
-from torchrefrac.scene.alignment import AlignmentError
+from torchrefrac.scene import SceneError
 
 CAMERAS_HEAD = "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"
 IMAGES_HEAD = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n"
@@ -84,7 +84,7 @@ def read_points_txt(path: Path) -> PointTable:
             numbers.append([float(words[i]) for i in (1, 2, 3, 7)])
             color = [int(word) for word in words[4:7]]
             if not 0 <= min(color) <= max(color) <= 255:
-                raise AlignmentError(f"{path}, line {number}: colour {color} must lie in 0 to 255; correct it")
+                raise SceneError(f"{path}, line {number}: colour {color} must lie in 0 to 255; correct it")
             colors.append(color)
             lengths.append(len(words) // 2 - 4)
     elements = np.concatenate(tracks)
@@ -107,12 +107,12 @@ def write_cameras_txt(rows: list[CameraRow], path: Path) -> None:
 
 
 def write_images_txt(table: ImageTable, path: Path) -> None:
-    """Write images.txt. AlignmentError for a name that would not survive it."""
+    """Write images.txt. SceneError for a name that would not survive it."""
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(IMAGES_HEAD)
         for i, name in enumerate(table.names):
             if name.split() != [name]:
-                raise AlignmentError(
+                raise SceneError(
                     f"{name!r} has a blank, at which COLMAP would cut the name in a text file; rename the image, or "
                     "write binary files"
                 )
@@ -146,7 +146,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
         try:
             yield from enumerate(file, start=1)
         except UnicodeDecodeError as error:
-            raise AlignmentError(f"{path} is not UTF-8 text: {error}; export the model again") from None
+            raise SceneError(f"{path} is not UTF-8 text: {error}; export the model again") from None
 
 
 def _records(lines: Iterator[tuple[int, str]]) -> Iterator[tuple[int, str]]:
@@ -156,7 +156,7 @@ def _records(lines: Iterator[tuple[int, str]]) -> Iterator[tuple[int, str]]:
 
 def _require_columns(fits: bool, words: list[str], wanted: str, path: Path, number: int) -> None:
     if not fits:
-        raise AlignmentError(
+        raise SceneError(
             f"{path}, line {number}: has {len(words)} columns, but must have {wanted}; export the model again"
         )
 
@@ -166,7 +166,7 @@ def _numbers(path: Path, number: int) -> Iterator[None]:
     """Name the line where a word is no number."""
     try:
         yield
-    except AlignmentError:
+    except SceneError:
         raise
     except (ValueError, OverflowError) as error:
-        raise AlignmentError(f"{path}, line {number}: {error}; correct the line") from None
+        raise SceneError(f"{path}, line {number}: {error}; correct the line") from None
