@@ -9,7 +9,7 @@ from torchrefrac.bundle import BundleOptions
 from torchrefrac.geometry import Similarity, heading_rotation
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.scene import Assessment
-from torchrefrac.sfm import Rules, adjust
+from torchrefrac.sfm import adjust
 from torchrefrac.sfm.adjust import assess_scene
 from torchrefrac.sfm.frame import transformed
 
@@ -65,7 +65,7 @@ def test_covariances_of_centres_agree_with_their_deviations_and_turn_with_the_wo
     assert torch.allclose(other.center_sigma.square(), torch.einsum("mii->m", found) / 3.0, rtol=1e-3)
 
 
-def test_water_and_scale_are_found_in_sentences(adjusted):
+def test_water_and_scale_are_described_in_sentences(adjusted):
     survey, scene, rules, fixed = adjusted()
 
     found = assess_scene(scene, rules, fixed)
@@ -80,7 +80,7 @@ def test_water_and_scale_are_found_in_sentences(adjusted):
     assert all("not determined" not in sentence for sentence in found.determined[:-1])
 
 
-def test_an_index_ratio_that_was_refined_is_found_with_its_error(adjusted):
+def test_an_index_ratio_that_was_refined_comes_with_its_error(adjusted):
     survey, scene, rules, fixed = adjusted(refine=("index_ratio",))
 
     found = assess_scene(scene, rules, fixed)
@@ -101,12 +101,12 @@ def test_what_was_fixed_has_no_error_and_is_handed_on(adjusted):
     assert found.determined[0].startswith("focal length, relative: determined to 0.0")
 
 
-def test_over_land_alone_where_nobody_knows_how_high_the_water_stands_nothing_is_found_but_what_was_fixed(adjusted):
+def test_over_land_alone_where_nobody_knows_how_high_the_water_stands_nothing_is_known_but_what_was_fixed(adjusted):
     survey, scene, rules, fixed = adjusted(refine=("index_ratio",), land=100)
 
     found = assess_scene(scene, rules, fixed)
 
-    assert found == Assessment(fixed={"index_ratio": "index ratio: not determined"})
+    assert vars(found) == vars(Assessment(fixed={"index_ratio": "index ratio: not determined"}))
 
 
 def test_in_air_nothing_is_said_of_water(adjusted):
@@ -119,7 +119,7 @@ def test_in_air_nothing_is_said_of_water(adjusted):
     assert found.point_sigma.isfinite().all()
 
 
-def test_only_registered_images_and_points_that_are_seen_are_found_of(adjusted):
+def test_only_registered_views_and_points_that_are_seen_are_assessed(adjusted):
     survey, scene, rules, fixed = adjusted()
     seen, registered = scene.observations, torch.arange(6) != 4
     accepted = scene.accepted & (seen.point % 5 != 2) & registered[seen.view]
@@ -139,14 +139,14 @@ def test_without_observations_nothing_is_known(adjusted):
 
     found = assess_scene(replace(scene, accepted=torch.zeros_like(scene.accepted)), rules, {})
 
-    assert found == Assessment()
+    assert vars(found) == vars(Assessment())
 
 
-def test_where_an_image_has_one_observation_nothing_is_found_but_what_was_fixed(adjusted):
+def test_where_a_view_has_one_observation_nothing_is_known_but_what_was_fixed(adjusted):
     _, scene, rules, _ = adjusted()
     of_third = (scene.observations.view == 3).nonzero()[:, 0]
     accepted = scene.accepted.index_fill(0, of_third[1:], False)
 
     found = assess_scene(replace(scene, accepted=accepted), rules, {"focal": "focal: not determined"})
 
-    assert found == Assessment(fixed={"focal": "focal: not determined"})
+    assert vars(found) == vars(Assessment(fixed={"focal": "focal: not determined"}))

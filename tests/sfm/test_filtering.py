@@ -157,7 +157,9 @@ def test_a_view_that_was_not_registered_is_not_lost(scene):
 
 def test_the_track_length_that_can_be_asked_for_leaves_every_view_its_support(scene):
     length = torch.bincount(scene.observations.point)
-    least = [int(torch.bincount(scene.observations.view[(length >= n)[scene.observations.point]]).min()) for n in (3, 4)]
+    least = [
+        int(torch.bincount(scene.observations.view[(length >= n)[scene.observations.point]]).min()) for n in (3, 4)
+    ]
 
     for inliers, expected in ((least[1], 4), (least[1] + 1, 3), (least[0] + 1, 2)):
         assert affordable_length(scene, replace(RULES, min_registration_inliers=inliers), 9) == expected

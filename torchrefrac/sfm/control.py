@@ -15,27 +15,27 @@ MAX_DISAGREEMENT_DEG = 45.0
 
 def with_control(scene: Scene, survey: Survey) -> Scene:
     """The ground control points of the survey are the last points, white, at the origin where no position is known."""
-    seen, count, k = scene.observations, len(scene.points), len(survey.mark_names)
+    seen, count, k = scene.observations, len(scene.points), len(survey.control_names)
     positions = scene.points.new_zeros(k, 3)
-    positions[survey.known_mark] = survey.known_position
+    positions[survey.known_control] = survey.known_position
     return replace(
         scene,
         points=torch.cat((scene.points, positions)),
         colors=torch.cat((scene.colors, scene.colors.new_full((k, 3), 255))),
         placed=torch.cat((scene.placed, scene.placed.new_zeros(k))),
         observations=Observations(
-            torch.cat((seen.view, survey.mark_image)),
-            torch.cat((seen.point, count + survey.mark)),
-            torch.cat((seen.pixels, survey.mark_pixels)),
+            torch.cat((seen.view, survey.control_image)),
+            torch.cat((seen.point, count + survey.control)),
+            torch.cat((seen.pixels, survey.control_pixels)),
         ),
-        accepted=torch.cat((scene.accepted, scene.accepted.new_zeros(len(survey.mark)))),
+        accepted=torch.cat((scene.accepted, scene.accepted.new_zeros(len(survey.control)))),
     )
 
 
 def known_control(survey: Survey) -> Bool[Tensor, " k"]:
     """Which ground control points have a known position."""
-    known = torch.zeros(len(survey.mark_names), dtype=torch.bool)
-    known[survey.known_mark] = True
+    known = torch.zeros(len(survey.control_names), dtype=torch.bool)
+    known[survey.known_control] = True
     return known
 
 
@@ -60,12 +60,12 @@ def survey_terms(survey: Survey, part: Part, ties: int) -> Sequence[Term]:
     first view that shows it.
     """
     image_slot = _slots(part.view, len(survey.names))
-    mark_slot = _slots(part.point, ties + len(survey.mark_names))[ties:]
+    slot = _slots(part.point, ties + len(survey.control_names))[ties:]
     down, height, center = (
         _present(image_slot, rows) for rows in (survey.down_image, survey.height_image, survey.center_image)
     )
-    known, waterline = _present(mark_slot, survey.known_mark), _present(mark_slot, survey.waterline_mark)
-    bars = (mark_slot[survey.bar_from] >= 0) & (mark_slot[survey.bar_to] >= 0)
+    known, waterline = _present(slot, survey.known_control), _present(slot, survey.waterline_control)
+    bars = (slot[survey.bar_from] >= 0) & (slot[survey.bar_to] >= 0)
     terms: list[Term] = []
     if len(down):
         image = image_slot[survey.down_image[down]]
@@ -77,15 +77,15 @@ def survey_terms(survey: Survey, part: Part, ties: int) -> Sequence[Term]:
         image = image_slot[survey.center_image[center]]
         terms.append(CenterPrior(image, survey.center[center], survey.center_information[center]))
     if len(known):
-        point = mark_slot[survey.known_mark[known]]
+        point = slot[survey.known_control[known]]
         terms.append(KnownPoints(point, survey.known_position[known], survey.known_information[known]))
     if len(waterline):
-        mark = mark_slot[survey.waterline_mark[waterline]]
+        control = slot[survey.waterline_control[waterline]]
         seen = part.scene.observations
-        surface = part.scene.views.interface[seen.view[torch.searchsorted(seen.point, mark)]]
-        terms.append(Waterline(mark, surface, survey.waterline_sigma[waterline]))
+        surface = part.scene.views.interface[seen.view[torch.searchsorted(seen.point, control)]]
+        terms.append(Waterline(control, surface, survey.waterline_sigma[waterline]))
     if bool(bars.any()):
-        ends = mark_slot[survey.bar_from[bars]], mark_slot[survey.bar_to[bars]]
+        ends = slot[survey.bar_from[bars]], slot[survey.bar_to[bars]]
         terms.append(ScaleBars(*ends, survey.bar_length[bars], survey.bar_sigma[bars]))
     return terms
 
