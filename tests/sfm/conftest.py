@@ -123,7 +123,7 @@ def survey_of(make_basin, draw, tmp_path) -> Callable[..., Survey]:
 
 @pytest.fixture
 def rules_of() -> Callable[..., Rules]:
-    """`rules_of(survey, bundle)`: with the gravity of a survey where there is refraction, as a reconstruction has it."""
+    """`rules_of(survey, bundle)`: with the gravity of a survey as a prior, but in air."""
 
     def make(survey: Survey, bundle: BundleOptions) -> Rules:
         capture = survey.capture

@@ -48,7 +48,7 @@ def test_noise_and_errors_are_found_as_large_as_they_are(adjusted):
 
 
 def test_covariances_of_centres_agree_with_their_deviations_and_turn_with_the_world(adjusted):
-    survey, scene, rules, fixed = adjusted()
+    _, scene, rules, fixed = adjusted()
     turn = heading_rotation(torch.tensor(0.7, dtype=torch.float64))
     one, zero = torch.ones((), dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
     turned = transformed(scene, Similarity(one, turn, zero))
@@ -66,7 +66,7 @@ def test_covariances_of_centres_agree_with_their_deviations_and_turn_with_the_wo
 
 
 def test_water_and_scale_are_described_in_sentences(adjusted):
-    survey, scene, rules, fixed = adjusted()
+    _, scene, rules, fixed = adjusted()
 
     found = assess_scene(scene, rules, fixed)
 
@@ -102,7 +102,7 @@ def test_what_was_fixed_has_no_error_and_is_handed_on(adjusted):
 
 
 def test_over_land_alone_where_nobody_knows_how_high_the_water_stands_nothing_is_known_but_what_was_fixed(adjusted):
-    survey, scene, rules, fixed = adjusted(refine=("index_ratio",), land=100)
+    _, scene, rules, fixed = adjusted(refine=("index_ratio",), land=100)
 
     found = assess_scene(scene, rules, fixed)
 
@@ -110,7 +110,7 @@ def test_over_land_alone_where_nobody_knows_how_high_the_water_stands_nothing_is
 
 
 def test_in_air_nothing_is_said_of_water(adjusted):
-    survey, scene, rules, fixed = adjusted(index_ratio=1.0)
+    _, scene, rules, fixed = adjusted(index_ratio=1.0)
 
     found = assess_scene(scene, rules, fixed)
 
@@ -120,7 +120,7 @@ def test_in_air_nothing_is_said_of_water(adjusted):
 
 
 def test_only_registered_views_and_points_that_are_seen_are_assessed(adjusted):
-    survey, scene, rules, fixed = adjusted()
+    _, scene, rules, fixed = adjusted()
     seen, registered = scene.observations, torch.arange(6) != 4
     accepted = scene.accepted & (seen.point % 5 != 2) & registered[seen.view]
     scene = replace(scene, views=replace(scene.views, registered=registered), accepted=accepted)
