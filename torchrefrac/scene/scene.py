@@ -213,6 +213,7 @@ class Scene:
         slot = self.views.registered.long().cumsum(dim=0) - 1
         scene = replace(
             self,
+            capture=self.capture and self.capture.of_views(view.tolist()),
             views=self.views[view],
             points=self.points[ids],
             colors=self.colors[ids],
