@@ -10,71 +10,65 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchrefrac.bundle import BundleOptions, GravityPrior
 from torchrefrac.features import Features, PairMatches
 from torchrefrac.geometry import so3_exp
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.scene import Cameras, Capture, Interfaces, Tracks
-from torchrefrac.sfm.model import SparseModel
+from torchrefrac.scene import Cameras, Capture, Interfaces, Observations, Part, Scene
+from torchrefrac.sfm import Rules
 
 
 @dataclass(frozen=True)
 class Survey:
-    """basin: the truth, its points being those of the tracks. wrong (N): the observations that show something else."""
+    """basin: the truth, its points being those of the tracks. wrong (k): the observations that show something else.
+    colors (n, 3): the number of a point in base 256."""
 
     basin: Any
     capture: Capture
-    tracks: Tracks
+    seen: Observations
+    colors: Tensor
     wrong: Tensor
 
-    @property
-    def index_ratio(self) -> Tensor:
-        return torch.tensor(self.basin.index_ratio, dtype=torch.float64)
+    def tracks(self) -> Scene:
+        """Nothing has a place yet."""
+        return Scene.of_capture(self.capture, self.seen, self.colors, self.basin.index_ratio)
 
-    def model(self, *, with_points: bool = False) -> SparseModel:
-        """All images at their true poses; `with_points`: all points at their true places, all observations active."""
-        count = len(self.capture)
-        model = SparseModel.empty(self.tracks, count, self.capture.intrinsics, self.index_ratio)
-        model = replace(
-            model,
-            registered=torch.ones(count, dtype=torch.bool),
-            rotation=self.basin.rotation,
-            center=self.basin.center,
-        )
+    def scene(self, *, with_points: bool = False) -> Scene:
+        """All views at their true poses; `with_points`: all points at their true places, all observations accepted."""
+        scene = self.tracks()
+        scene = replace(scene, views=scene.views.at(self.basin.rotation, self.basin.center))
         if not with_points:
-            return model
+            return scene
         return replace(
-            model,
+            scene,
             points=self.basin.points,
-            has_point=torch.ones_like(model.has_point),
-            active=torch.ones_like(model.active),
+            placed=torch.ones_like(scene.placed),
+            accepted=torch.ones_like(scene.accepted),
         )
 
     def features(self) -> list[Features]:
-        """The observations of each image as its keypoints."""
+        """The observations of each view as its keypoints."""
         return [
-            Features(
-                self.tracks.pixels[self.tracks.image == image],
-                torch.zeros(int((self.tracks.image == image).sum()), 128),
-                self.tracks.colors[self.tracks.image == image],
-            )
-            for image in range(len(self.capture))
+            Features(seen.pixels, torch.zeros(len(seen), 128), self.colors[seen.point])
+            for seen in (self.seen[self.seen.view == view] for view in range(len(self.capture)))
         ]
 
     def pairs(self) -> list[PairMatches]:
-        """For any two images the keypoints that belong to the same track."""
-        keypoint = [self.tracks.track[self.tracks.image == image] for image in range(len(self.capture))]
+        """For any two views the keypoints that belong to the same track."""
+        keypoint = [self.seen.point[self.seen.view == view] for view in range(len(self.capture))]
         return [
             PairMatches(first, second, (keypoint[first][:, None] == keypoint[second]).nonzero())
             for first, second in combinations(range(len(self.capture)), 2)
         ]
 
-    def common(self, *images: int) -> tuple[Tensor, ...]:
-        """Pixels of the tracks that all `images` see, image by image, and which of these tracks are right in all."""
-        rows = [self.tracks.image == image for image in images]
-        seen = torch.stack([torch.bincount(self.tracks.track[row], minlength=self.tracks.num_tracks) for row in rows])
-        rows = [row & (seen > 0).all(dim=0)[self.tracks.track] for row in rows]
+    def common(self, *views: int) -> tuple[Tensor, ...]:
+        """Pixels of the tracks that all `views` see, view by view, which of these tracks are right in all, and their
+        numbers."""
+        rows = [self.seen.view == view for view in views]
+        count = torch.stack([torch.bincount(self.seen.point[row], minlength=len(self.colors)) for row in rows])
+        rows = [row & (count > 0).all(dim=0)[self.seen.point] for row in rows]
         right = ~torch.stack([self.wrong[row] for row in rows]).any(dim=0)
-        return *(self.tracks.pixels[row] for row in rows), right, self.tracks.track[rows[0]]
+        return *(self.seen.pixels[row] for row in rows), right, self.seen.point[rows[0]]
 
 
 class Curves(SilentRecorder):
@@ -119,8 +113,26 @@ def survey_of(make_basin, draw, tmp_path) -> Callable[..., Survey]:
             has_height=torch.arange(cameras) == 0,
             length_unit="cm",
         )
-        colors = torch.stack((track % 256, track // 256, 0 * track), dim=-1).to(torch.uint8)
-        tracks = Tracks(image, track, torch.where(wrong[:, None], anywhere, observed), colors, points)
-        return Survey(basin, capture, tracks, wrong)
+        number = torch.arange(points)
+        colors = torch.stack((number % 256, number // 256, 0 * number), dim=-1).to(torch.uint8)
+        seen = Observations(image, track, torch.where(wrong[:, None], anywhere, observed))
+        return Survey(basin, capture, seen, colors, wrong)
+
+    return make
+
+
+@pytest.fixture
+def rules_of() -> Callable[..., Rules]:
+    """`rules_of(survey, bundle)`: with the gravity of a survey as a prior, but in air."""
+
+    def make(survey: Survey, bundle: BundleOptions) -> Rules:
+        capture = survey.capture
+
+        def gravity(part: Part) -> list[GravityPrior]:
+            if survey.basin.index_ratio == 1.0:
+                return []
+            return [GravityPrior(capture.down_in_cam[part.view], capture.down_sigma)]
+
+        return Rules(bundle=bundle, measurements=gravity)
 
     return make

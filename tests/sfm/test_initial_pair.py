@@ -5,14 +5,14 @@ import math
 import torch
 
 from torchrefrac.features import PairMatches
-from torchrefrac.sfm import PairPose, SfmOptions, VerifiedPair
-from torchrefrac.sfm.initial_pair import rank_initial_pairs, start_from_pair
+from torchrefrac.sfm import PairPose, Rules, SfmOptions, Start, VerifiedPair, start
+from torchrefrac.sfm.start import rank_initial_pairs
 
 OPTIONS = SfmOptions(min_initial_angle_deg=5.0)
-ANY = torch.zeros(2, 3)
+ROTATION, CENTER = torch.zeros(2, 3, 3), torch.zeros(2, 3)
 
 
-def _pair(first, matches, angle_deg, rotation=ANY, center=ANY):
+def _pair(first, matches, angle_deg, rotation=ROTATION, center=CENTER):
     pose = PairPose(rotation, center, torch.ones(matches, dtype=torch.bool), math.radians(angle_deg))
     return VerifiedPair(PairMatches(first, first + 1, torch.zeros(matches, 2, dtype=torch.long)), pose, matches)
 
@@ -35,14 +35,37 @@ def test_no_pairs_are_ranked_as_none():
     assert rank_initial_pairs([], OPTIONS) == []
 
 
-def test_a_model_starts_with_the_two_images_and_the_points_that_both_see(survey_of):
+def test_a_scene_starts_with_the_two_views_and_the_points_that_both_see(survey_of):
     survey = survey_of()
     pair = _pair(1, 50, 20.0, survey.basin.rotation[1:3], survey.basin.center[1:3])
 
-    model = start_from_pair(pair, survey.tracks, survey.capture, survey.index_ratio, OPTIONS)
+    scene, outcome = start(survey.tracks(), pair, Rules())
 
-    assert model.registered.tolist() == [False, True, True, False]
-    both = torch.bincount(survey.tracks.track[model.visible()], minlength=60) == 2
-    assert torch.equal(model.has_point, both)
-    torch.testing.assert_close(model.points[both], survey.basin.points[both], rtol=0.0, atol=1e-7)
-    assert torch.equal(model.rotation[1:3], survey.basin.rotation[1:3])
+    assert scene.views.registered.tolist() == [False, True, True, False]
+    seen = scene.observations
+    both = torch.bincount(seen.point[scene.views.registered[seen.view]], minlength=60) == 2
+    assert torch.equal(scene.placed, both)
+    torch.testing.assert_close(scene.points[both], survey.basin.points[both], rtol=0.0, atol=1e-7)
+    assert torch.equal(scene.views.rotation[1:3], survey.basin.rotation[1:3])
+    assert outcome.kind is Start.DONE
+    assert str(outcome) == f"{int(both.sum())} points are placed from the first two views"
+
+
+def test_a_pair_without_a_pose_starts_nothing(survey_of):
+    scene = survey_of().tracks()
+
+    same, outcome = start(scene, _pair(1, 50, 20.0, None, None), Rules())
+
+    assert same is scene
+    assert outcome.kind is Start.NO_POSE
+    assert str(outcome) == "the matches of the pair do not determine its pose"
+
+
+def test_a_pair_that_few_points_can_be_placed_from_says_how_many(survey_of):
+    survey = survey_of(cameras=2, points=9)
+
+    _, outcome = start(survey.tracks(), _pair(0, 9, 20.0, survey.basin.rotation, survey.basin.center), Rules())
+
+    assert outcome.kind is Start.FEW_POINTS
+    assert str(outcome) == "only 9 points can be placed from the pair, of which a start needs 12"
+    assert not outcome.done

@@ -10,7 +10,7 @@ from torchrefrac.geometry import align_above_plane, align_similarity
 from torchrefrac.ransac import RansacOptions
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.sfm import PinholeInitializer, RefractiveInitializer, SfmOptions
-from torchrefrac.sfm.rays import triangulate_rays
+from torchrefrac.sfm.rays import Rays
 
 OPTIONS = SfmOptions(ransac=RansacOptions(max_error=2.0, max_samples=4096))
 HARD = {"noise": 0.2, "outliers": 0.15, "gravity_error_deg": 0.5}
@@ -20,7 +20,7 @@ in_water_and_air = pytest.mark.parametrize("index_ratio", [1.33, 1.0], ids=["wat
 def make_initializer(survey):
     if survey.basin.index_ratio == 1.0:
         return PinholeInitializer(survey.capture, OPTIONS)
-    return RefractiveInitializer(survey.capture, survey.index_ratio, OPTIONS)
+    return RefractiveInitializer(survey.capture, survey.basin.index_ratio, OPTIONS)
 
 
 @in_water_and_air
@@ -35,7 +35,7 @@ def test_the_pose_of_a_pair_is_found_in_spite_of_outliers_and_gravity_that_is_of
     truth = survey.basin.points[track[pose.inliers & right]]
     camera = RefractiveCamera(survey.basin.lens, pose.rotation, pose.center, FlatInterface(index_ratio))
     both = torch.stack((first, second), dim=1)[pose.inliers & right]
-    points, _, _ = triangulate_rays(camera, both, torch.ones(both.shape[:2], dtype=torch.bool))
+    points, _, _ = Rays.of(camera, both).meet(lambda points: points[..., 2])
     align = align_above_plane if index_ratio > 1.0 else align_similarity
     change = align(points, truth)
     assert (change.apply(points) - truth).norm(dim=-1).median() < 0.5
@@ -113,7 +113,7 @@ def test_gravity_that_is_known_to_be_vague_widens_the_search(survey_of, generato
     options = replace(OPTIONS, ransac=replace(OPTIONS.ransac, min_inliers=150))
 
     def find(capture):
-        initializer = RefractiveInitializer(capture, survey.index_ratio, options)
+        initializer = RefractiveInitializer(capture, survey.basin.index_ratio, options)
         return initializer.absolute(1, pixels, survey.basin.points[track], generator)
 
     assert find(survey.capture).inliers.sum() > 0.95 * len(pixels)

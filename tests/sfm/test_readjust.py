@@ -1,18 +1,17 @@
-"""Adjusting an existing alignment anew: from poses of a pinhole to those of the truth, and what is refused."""
+"""Adjusting a whole scene: from poses of a pinhole to those of the truth, and what is refused."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
 
-from tests.planted_alignments import plant_alignment
+from tests.planted_reconstructions import plant_reconstruction
 from torchrefrac.bundle import BundleOptions, UnadjustableError
-from torchrefrac.files.water import Water
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.scene import Survey, SurveyError
-from torchrefrac.scene.survey import ScaleBar, SurveyedImage, SurveyedMark, resolve
-from torchrefrac.sfm.readjust import ReadjustOptions, readjust
-from torchrefrac.sfm.water_level import candidate_offsets, find_offset
+from torchrefrac.scene import Scene, Survey, SurveyError
+from torchrefrac.scene.survey import ControlPoint, ScaleBar, SurveyedImage, resolve
+from torchrefrac.sfm import Outcome, ReadjustOptions, readjust, with_found_level
+from torchrefrac.sfm.water_level import candidate_offsets
 
 SMALL = (1e4 * torch.eye(3, dtype=torch.float64)).tolist()  # information of a position known to 0.01
 
@@ -29,13 +28,59 @@ class Notes(SilentRecorder):
 
 @pytest.fixture
 def plant(make_basin, draw):
-    """`plant(noise=0.0, lenses=1, planes=1, ...)`: six cameras and 80 points; the rest goes to `make_basin`."""
+    """`plant(noise=0.0, intrinsics=1, interfaces=1, ...)`: six cameras and 80 points; the rest goes to `make_basin`."""
 
-    def make(noise=0.0, lenses=1, planes=1, **scene):
+    def make(noise=0.0, intrinsics=1, interfaces=1, **scene):
         basin = make_basin(**{"cameras": 6, "points": 80, "seen_by": 3} | scene)
-        return plant_alignment(basin, draw, noise, lenses, planes)
+        return plant_reconstruction(basin, draw, noise, intrinsics, interfaces)
 
     return make
+
+
+@dataclass(frozen=True)
+class Found:
+    """scene: all views and points, then the ground control points. outcome: of the last adjustment."""
+
+    given: Scene
+    survey: Survey
+    scene: Scene
+    outcome: Outcome
+
+    @property
+    def ties(self) -> Scene:
+        """The views and points that stayed, without ground control."""
+        of_ties = self.scene.observations.point < len(self.given.points)
+        scene = replace(self.scene, accepted=self.scene.accepted & of_ties)
+        return scene.of_views(scene.views.registered).trimmed()
+
+    @property
+    def control(self) -> dict[str, list[float]]:
+        """Positions of the ground control points that fit, by name."""
+        count, scene = len(self.given.points), self.scene
+        placed, points = scene.placed[count:].tolist(), scene.points[count:].tolist()
+        return {name: at for name, there, at in zip(self.survey.control_names, placed, points, strict=True) if there}
+
+    @property
+    def lost_control(self) -> tuple[str, ...]:
+        return tuple(name for name in self.survey.control_names if name not in self.control)
+
+    @property
+    def lost_views(self) -> tuple[str, ...]:
+        names, there = self.scene.views.names, self.scene.views.registered.tolist()
+        return tuple(name for name, here in zip(names, there, strict=True) if not here)
+
+
+def adjust(given, survey=None, options=None, recorder=None) -> Found:
+    return Found(given, survey or Survey.empty(given.views.names), *readjust(given, survey, options, recorder))
+
+
+def at_offset(scene, offset):
+    """With its one surface at another height."""
+    return replace(scene, interfaces=replace(scene.interfaces, offset=torch.tensor([offset], dtype=torch.float64)))
+
+
+def with_pixels(scene, pixels):
+    return replace(scene, observations=replace(scene.observations, pixels=pixels))
 
 
 def options(*refine, **changes):
@@ -45,287 +90,299 @@ def options(*refine, **changes):
     return ReadjustOptions(bundle=replace(bundle, solver=solver), **changes)
 
 
-@pytest.mark.parametrize("scene", [{}, {"lenses": 2}, {"planes": 2}, {"land": 20}])
+@pytest.mark.parametrize("scene", [{}, {"intrinsics": 2}, {"interfaces": 2}, {"land": 20}])
 def test_cameras_of_a_pinhole_come_to_the_truth(plant, draw, scene):
     planted = plant(**scene)
     given = planted.as_of_a_pinhole(draw)
-    if "planes" in scene:  # two planes fix more of the frame: only where the cameras stand along their line is free
-        given = replace(given, center=planted.truth.center + 0.2 * (given.center - planted.truth.center))
+    if "interfaces" in scene:  # two planes fix more of the frame: only where cameras stand along their line is free
+        truth = planted.truth.views.center
+        given = replace(given, views=given.views.at(given.views.rotation, truth + 0.2 * (given.views.center - truth)))
 
-    found = readjust(given, planted.water, options=options())
+    found = adjust(given, options=options())
 
-    assert float(found.errors_before.median()) > 1.0
-    assert float(found.errors.max()) < 1e-4
-    if "planes" not in scene:
-        assert float(planted.off(found.alignment).max()) < 1e-3
-    assert found.alignment.names == given.names
-    assert torch.equal(found.alignment.lens, given.lens)
-    for lens, other in zip(found.alignment.lenses, given.lenses, strict=True):
-        assert (lens.width, lens.height) == (other.width, other.height)
-        assert torch.equal(lens.focal, other.focal)
+    assert found.outcome.numbers["median_before"] > 1.0
+    assert found.outcome.numbers["not_triangulated"] == 0
+    assert float(found.ties.errors().max()) < 1e-4
+    if "interfaces" not in scene:
+        assert float(planted.off(found.scene).max()) < 1e-3
+    assert found.ties.views.names == given.views.names
+    assert torch.equal(found.scene.views.camera, given.views.camera)
+    assert found.scene.cameras.sizes == given.cameras.sizes
+    assert torch.equal(found.scene.cameras.focal, given.cameras.focal)
 
 
 def test_points_and_colours_stay_together(plant, draw):
     planted = plant()
 
-    found = readjust(planted.as_of_a_pinhole(draw, 0.0), planted.water, options=options()).alignment
+    found = adjust(planted.as_of_a_pinhole(draw, 0.0), options=options()).ties
 
     assert torch.equal(found.colors, planted.truth.colors)
     torch.testing.assert_close(found.points, planted.truth.points, rtol=0.0, atol=1e-5)
-    assert torch.equal(found.pixels, planted.truth.pixels)
+    assert torch.equal(found.observations.pixels, planted.truth.observations.pixels)
 
 
 def test_a_frame_that_nothing_fixes_stays_where_it_is(plant, draw):
-    planted = plant()
+    given = plant().as_of_a_pinhole(draw, 0.0)
 
-    found = readjust(planted.as_of_a_pinhole(draw, 0.0), planted.water, options=options())
+    found = adjust(given, options=options())
 
-    assert float(found.shift.max()) < 1e-5
+    assert float((found.scene.views.center - given.views.center).norm(dim=-1).max()) < 1e-5
 
 
 def test_the_index_ratio_is_found_from_a_wrong_one(plant, draw):
     planted = plant()
-    water = replace(planted.water, index_ratio=1.25)
+    given = planted.as_of_a_pinhole(draw)
+    ratio = torch.full_like(given.interfaces.index_ratio, 1.25)
+    given = replace(given, interfaces=replace(given.interfaces, index_ratio=ratio))
 
-    found = readjust(planted.as_of_a_pinhole(draw), water, options=options("index_ratio"))
+    found = adjust(given, options=options("index_ratio"))
 
-    assert found.water.index_ratio == pytest.approx(1.33, abs=1e-5)
-    assert float(planted.off(found.alignment).max()) < 1e-3
-    assert found.assessment.index_ratio_sigma is not None
-    assert any(line.startswith("index ratio: determined to") for line in found.assessment.determined)
+    assert found.scene.index_ratio == pytest.approx(1.33, abs=1e-5)
+    assert float(planted.off(found.scene).max()) < 1e-3
+    assessment = found.scene.assessment
+    assert assessment.index_ratio_sigma is not None
+    assert any(line.startswith("index ratio: determined to") for line in assessment.determined)
 
 
 def test_both_focal_lengths_are_found_from_wrong_ones(plant, draw):
-    planted = plant(lenses=2, points=200)
+    planted = plant(intrinsics=2, points=200)
     given = planted.as_of_a_pinhole(draw, 0.2)
-    lenses = tuple(replace(lens, focal=lens.focal * 1.02) for lens in given.lenses)
+    given = replace(given, cameras=replace(given.cameras, focal=given.cameras.focal * 1.02))
 
-    found = readjust(replace(given, lenses=lenses), planted.water, options=options("focal"))
+    found = adjust(given, options=options("focal"))
 
-    for lens, truth in zip(found.alignment.lenses, planted.truth.lenses, strict=True):
-        torch.testing.assert_close(lens.focal, truth.focal, rtol=1e-5, atol=0.0)
+    torch.testing.assert_close(found.scene.cameras.focal, planted.truth.cameras.focal, rtol=1e-5, atol=0.0)
 
 
 def test_wrong_observations_are_dropped_and_no_others(plant, draw):
     planted = plant(noise=0.2, points=150, cameras=8, seen_by=6)
-    wrong = torch.zeros(len(planted.truth.image), dtype=torch.bool)
+    right = planted.truth.observations.pixels
+    wrong = torch.zeros(len(right), dtype=torch.bool)
     wrong[::15] = True
-    pixels = planted.truth.pixels + 40.0 * wrong[:, None] * draw.directions(len(wrong))[:, :2].sign()
-    given = replace(planted.as_of_a_pinhole(draw), pixels=pixels)
+    pixels = right + 40.0 * wrong[:, None] * draw.directions(len(wrong))[:, :2].sign()
 
-    found = readjust(given, planted.water, options=options())
+    found = adjust(with_pixels(planted.as_of_a_pinhole(draw), pixels), options=options())
 
-    kept = {tuple(row) for row in found.alignment.pixels.tolist()}
-    assert not kept & {tuple(row) for row in pixels[wrong].tolist()}
-    assert len(kept) == int((~wrong).sum())
-    assert float(planted.off(found.alignment).max()) < 0.1
+    assert torch.equal(found.scene.accepted, ~wrong)
+    assert float(planted.off(found.scene).max()) < 0.1
 
 
-def test_an_image_that_does_not_fit_is_left_out_and_named(plant, draw):
+def test_a_view_that_does_not_fit_is_left_out_and_named(plant, draw):
     planted = plant(noise=0.2, points=150)
-    off = planted.truth.image == 4
-    pixels = torch.where(off[:, None], draw.uniform(0.0, 768.0, len(off), 2), planted.truth.pixels)
+    off = planted.truth.observations.view == 4
+    nonsense = draw.uniform(0.0, 768.0, len(off), 2)
+    pixels = torch.where(off[:, None], nonsense, planted.truth.observations.pixels)
 
-    found = readjust(replace(planted.as_of_a_pinhole(draw), pixels=pixels), planted.water, options=options())
+    found = adjust(with_pixels(planted.as_of_a_pinhole(draw), pixels), options=options())
 
-    assert found.lost_images == ("cam04.jpg",)
-    assert found.alignment.names == tuple(name for name in planted.truth.names if name != "cam04.jpg")
-    assert found.images.tolist() == [0, 1, 2, 3, 5]
-    assert float(planted.off(found.alignment).max()) < 0.2
+    assert found.lost_views == ("cam04.jpg",)
+    assert found.ties.views.names == tuple(name for name in planted.truth.views.names if name != "cam04.jpg")
+    assert found.scene.views.registered.nonzero()[:, 0].tolist() == [0, 1, 2, 3, 5]
+    assert float(planted.off(found.scene).max()) < 0.2
 
 
-def test_held_cameras_stay_to_the_last_bit(plant, draw):
+def test_fixed_cameras_stay_to_the_last_bit(plant, draw):
     planted = plant()
-    given = planted.as_of_a_pinhole(draw, 0.0)
-    water = replace(planted.water, offset=torch.tensor([3.0], dtype=torch.float64))
+    given = at_offset(planted.as_of_a_pinhole(draw, 0.0), 3.0)
 
-    found = readjust(given, water, options=options("plane_height", held="cameras"))
+    found = adjust(given, options=options("plane_height", held="cameras"))
 
-    assert torch.equal(found.alignment.center, given.center)
-    assert torch.equal(found.alignment.rotation, given.rotation)
-    assert float(found.water.offset) == pytest.approx(0.0, abs=1e-4)
-    torch.testing.assert_close(found.alignment.points, planted.truth.points, rtol=0.0, atol=1e-3)
+    assert torch.equal(found.scene.views.center, given.views.center)
+    assert torch.equal(found.scene.views.rotation, given.views.rotation)
+    assert float(found.scene.interfaces.offset) == pytest.approx(0.0, abs=1e-4)
+    torch.testing.assert_close(found.ties.points, planted.truth.points, rtol=0.0, atol=1e-3)
 
 
 def test_measured_heights_fix_the_scale(plant, draw):
     planted = plant()
-    given = planted.as_of_a_pinhole(draw)
-    given = replace(given, center=0.4 * given.center, points=0.4 * given.points)
+    given, truth = planted.as_of_a_pinhole(draw), planted.truth.views
+    given = replace(
+        given, views=given.views.at(given.views.rotation, 0.4 * given.views.center), points=0.4 * given.points
+    )
     heights = {
-        name: SurveyedImage(height=(float(c[2]), 0.1))
-        for name, c in zip(planted.truth.names, planted.truth.center, strict=True)
+        name: SurveyedImage(height=(float(c[2]), 0.1)) for name, c in zip(truth.names, truth.center, strict=True)
     }
 
-    found = readjust(given, planted.water, resolve(heights, {}, [], given.names), options())
+    found = adjust(given, resolve(heights, {}, [], truth.names), options())
 
-    torch.testing.assert_close(found.alignment.center[:, 2], planted.truth.center[:, 2], rtol=0.0, atol=1e-3)
-
-
-def _mark(planted, point, **known):
-    """A mark at a point of the truth, seen where this is."""
-    rows = (planted.truth.point == point).nonzero()[:, 0]
-    names = [planted.truth.names[i] for i in planted.truth.image[rows].tolist()]
-    return SurveyedMark(dict(zip(names, planted.truth.pixels[rows].tolist(), strict=True)), **known)
+    torch.testing.assert_close(found.scene.views.center[:, 2], truth.center[:, 2], rtol=0.0, atol=1e-3)
 
 
-def test_known_marks_fix_the_whole_frame(plant, draw):
+def _control(planted, point, **known):
+    """A ground control point at a point of the truth, seen where this is."""
+    seen = planted.truth.observations[planted.truth.observations.point == point]
+    names = [planted.truth.views.names[i] for i in seen.view.tolist()]
+    return ControlPoint(dict(zip(names, seen.pixels.tolist(), strict=True)), **known)
+
+
+def test_known_control_fixes_the_whole_frame(plant, draw):
     planted = plant(noise=0.05)
-    known = {f"m{i}": _mark(planted, i, known=(planted.truth.points[i].tolist(), SMALL)) for i in range(4)}
+    known = {f"m{i}": _control(planted, i, known=(planted.truth.points[i].tolist(), SMALL)) for i in range(4)}
     given = planted.as_of_a_pinhole(draw)
 
-    found = readjust(given, planted.water, resolve({}, known, [], given.names), options())
+    found = adjust(given, resolve({}, known, [], given.views.names), options())
 
-    torch.testing.assert_close(found.alignment.center, planted.truth.center, rtol=0.0, atol=0.05)
-    assert found.marks["m2"] == pytest.approx(planted.truth.points[2].tolist(), abs=0.03)
-    assert len(found.alignment.points) == len(planted.truth.points)
-    assert len(found.assessment.point_sigma) == len(planted.truth.points)
+    torch.testing.assert_close(found.scene.views.center, planted.truth.views.center, rtol=0.0, atol=0.05)
+    assert found.control["m2"] == pytest.approx(planted.truth.points[2].tolist(), abs=0.03)
+    assert len(found.ties.points) == len(planted.truth.points)
+    assert len(found.scene.assessment.point_sigma) == len(planted.truth.points)
 
 
-def test_a_mark_that_one_image_sees_goes_by_its_known_position(plant, draw):
+def test_a_control_point_that_one_view_sees_goes_by_its_known_position(plant, draw):
     planted = plant()
-    mark = _mark(planted, 0, known=(planted.truth.points[0].tolist(), SMALL))
-    once = replace(mark, pixels=dict(list(mark.pixels.items())[:1]))
+    point = _control(planted, 0, known=(planted.truth.points[0].tolist(), SMALL))
+    once = replace(point, pixels=dict(list(point.pixels.items())[:1]))
     given = planted.as_of_a_pinhole(draw)
 
-    found = readjust(given, planted.water, resolve({}, {"once": once}, [], given.names), options())
+    found = adjust(given, resolve({}, {"once": once}, [], given.views.names), options())
 
-    assert found.lost_marks == ()
-    assert found.marks["once"] == pytest.approx(planted.truth.points[0].tolist(), abs=1e-2)
-    assert float(planted.off(found.alignment).max()) < 1e-2
+    assert found.lost_control == ()
+    assert found.control["once"] == pytest.approx(planted.truth.points[0].tolist(), abs=1e-2)
+    assert float(planted.off(found.scene).max()) < 1e-2
 
 
 def test_a_scale_bar_fixes_the_scale(plant, draw):
     planted = plant()
     length = float((planted.truth.points[0] - planted.truth.points[1]).norm())
-    marks, bar = {"a": _mark(planted, 0), "b": _mark(planted, 1)}, ScaleBar("a", "b", 2.0 * length, 0.01)
+    ends, bar = {"a": _control(planted, 0), "b": _control(planted, 1)}, ScaleBar("a", "b", 2.0 * length, 0.01)
     given = planted.as_of_a_pinhole(draw)
 
-    found = readjust(given, planted.water, resolve({}, marks, [bar], given.names), options())
+    found = adjust(given, resolve({}, ends, [bar], given.views.names), options())
 
-    torch.testing.assert_close(found.alignment.center[:, 2], 2.0 * planted.truth.center[:, 2], rtol=0.0, atol=1e-2)
+    truth = planted.truth.views.center
+    torch.testing.assert_close(found.scene.views.center[:, 2], 2.0 * truth[:, 2], rtol=0.0, atol=1e-2)
 
 
-def test_a_mark_on_the_waterline_fixes_the_height_of_the_plane(plant, draw):
+def test_a_control_point_on_the_waterline_fixes_the_height_of_the_plane(plant, draw):
     planted = plant(land=20)
     point = int((planted.truth.points[:, 2].abs()).argmin())
     level = float(planted.truth.points[point, 2])
-    mark = replace(_mark(planted, point), waterline=0.001)
+    edge = replace(_control(planted, point), waterline=0.001)
     given = planted.as_of_a_pinhole(draw, 0.0)
 
-    found = readjust(
-        given, planted.water, resolve({}, {"edge": mark}, [], given.names), options("plane_height", held="cameras")
-    )
+    survey = resolve({}, {"edge": edge}, [], given.views.names)
+    found = adjust(given, survey, options("plane_height", held="cameras"))
 
-    height = float(found.marks["edge"][2] - found.water.offset)
+    height = float(found.control["edge"][2] - found.scene.interfaces.offset)
     assert abs(height) < abs(level)
 
 
-def test_a_mark_that_does_not_fit_is_named(plant, draw):
+def test_a_control_point_that_does_not_fit_is_named(plant, draw):
     planted = plant()
-    mark = _mark(planted, 0)
-    pixels = {name: [x + 60.0 * (-1) ** i, y + 50.0] for i, (name, (x, y)) in enumerate(mark.pixels.items())}
+    point = _control(planted, 0)
+    pixels = {name: [x + 60.0 * (-1) ** i, y + 50.0] for i, (name, (x, y)) in enumerate(point.pixels.items())}
     given = planted.as_of_a_pinhole(draw)
 
-    found = readjust(
-        given, planted.water, resolve({}, {"bad": replace(mark, pixels=pixels)}, [], given.names), options()
-    )
+    survey = resolve({}, {"bad": replace(point, pixels=pixels)}, [], given.views.names)
+    found = adjust(given, survey, options())
 
-    assert found.lost_marks == ("bad",)
-    assert float(planted.off(found.alignment).max()) < 1e-2
+    assert found.lost_control == ("bad",)
+    assert float(planted.off(found.scene).max()) < 1e-2
 
 
 def test_the_water_level_is_found_between_points_and_cameras(plant, draw):
     planted = plant(points=120)
     given = planted.as_of_a_pinhole(draw)
-    up = given.center.new_tensor((0.0, 0.0, 500.0))
-    raised = replace(given, center=given.center + up, points=given.points + up)
+    up = given.points.new_tensor((0.0, 0.0, 500.0))
+    raised = replace(
+        given, views=given.views.at(given.views.rotation, given.views.center + up), points=given.points + up
+    )
 
-    offset = find_offset(raised, planted.water, options=options())
-    water = replace(planted.water, offset=torch.tensor([offset], dtype=torch.float64))
-    found = readjust(raised, water, options=options("plane_height"))
+    levelled = with_found_level(raised, options=options())
+    found = adjust(levelled, options=options("plane_height")).scene
 
-    assert 400.0 < offset < 530.0
-    above = found.alignment.center - found.water.offset * found.water.normal
-    assert float(planted.off(replace(found.alignment, center=above)).max()) < 1e-2
+    assert 400.0 < float(levelled.interfaces.offset) < 530.0
+    assert levelled.views is raised.views
+    assert levelled.points is raised.points
+    above = found.views.center - found.interfaces.offset * found.interfaces.normal
+    assert float(planted.off(replace(found, views=found.views.at(found.views.rotation, above))).max()) < 1e-2
 
 
 def test_candidates_for_the_water_level_lie_below_all_cameras(plant, draw):
     given = plant().as_of_a_pinhole(draw)
 
-    offsets = candidate_offsets(given, given.center.new_tensor((0.0, 0.0, 1.0)))
+    offsets = candidate_offsets(given)
 
-    assert bool((offsets < given.center[:, 2].min()).all())
+    assert bool((offsets < given.views.center[:, 2].min()).all())
     assert bool((offsets.diff() > 0).all())
+    downwards = replace(given, interfaces=replace(given.interfaces, normal=-given.interfaces.normal))
     with pytest.raises(UnadjustableError, match="the cameras are not above the points along the normal"):
-        candidate_offsets(given, given.center.new_tensor((0.0, 0.0, -1.0)))
+        candidate_offsets(downwards)
 
 
 def test_a_plane_below_the_points_is_remarked_upon(plant, draw):
-    planted = plant()
-    low = replace(planted.water, offset=torch.tensor([-500.0], dtype=torch.float64))
     notes = Notes()
 
-    readjust(planted.as_of_a_pinhole(draw), low, options=ReadjustOptions(rounds=1), recorder=notes)
+    adjust(at_offset(plant().as_of_a_pinhole(draw), -500.0), options=ReadjustOptions(rounds=1), recorder=notes)
 
     assert notes.lines[0].startswith("80 of 80 points lie above the water, where nothing refracts")
 
 
 def test_points_that_cannot_be_triangulated_are_counted_and_left_out(plant, draw):
-    planted = plant()
-    given = planted.as_of_a_pinhole(draw, 0.0)
-    twin = given.pixels.clone()
-    rows = (given.point == 7).nonzero()[:, 0]
-    twin[rows] = given.pixels.new_tensor((512.0, 384.0)) + 300.0 * draw.normal(len(rows), 2)
+    given = plant().as_of_a_pinhole(draw, 0.0)
+    pixels = given.observations.pixels.clone()
+    rows = (given.observations.point == 7).nonzero()[:, 0]
+    pixels[rows] = pixels.new_tensor((512.0, 384.0)) + 300.0 * draw.normal(len(rows), 2)
 
-    found = readjust(replace(given, pixels=twin), planted.water, options=options())
+    found = adjust(with_pixels(given, pixels), options=options()).ties
 
-    assert len(found.alignment.points) == len(given.points) - 1
-    assert torch.equal(found.alignment.colors, torch.cat((given.colors[:7], given.colors[8:])))
+    assert len(found.points) == len(given.points) - 1
+    assert torch.equal(found.colors, torch.cat((given.colors[:7], given.colors[8:])))
 
 
 @pytest.mark.parametrize(
     ("spoil", "sentence"),
     [
-        (lambda a: a.of_images(torch.arange(len(a)) == 0), "the alignment has 1 image"),
-        (lambda a: replace(a, pixels=a.pixels.index_fill(0, torch.tensor([3]), torch.nan)), "pixels are not finite"),
+        (lambda s: s.of_views(torch.arange(len(s.views)) == 0), "the reconstruction has 1 image"),
         (
-            lambda a: replace(a, center=a.center.index_fill(0, torch.tensor([2]), -1.0)),
+            lambda s: with_pixels(s, s.observations.pixels.index_fill(0, torch.tensor([3]), torch.nan)),
+            "pixels are not finite",
+        ),
+        (
+            lambda s: replace(
+                s, views=s.views.at(s.views.rotation, s.views.center.index_fill(0, torch.tensor([2]), -1.0))
+            ),
             "not above the water plane: cam02.jpg",
         ),
-        (lambda a: replace(a, rotation=a.rotation * torch.nan), "rotation is not finite"),
+        (
+            lambda s: replace(s, views=s.views.at(s.views.rotation * torch.nan, s.views.center)),
+            "rotation is not finite",
+        ),
     ],
 )
-def test_what_cannot_be_adjusted_is_said_with_the_names_of_images(plant, spoil, sentence):
+def test_what_cannot_be_adjusted_is_refused_with_the_names_of_images(plant, spoil, sentence):
     planted = plant()
 
     with pytest.raises(UnadjustableError, match=sentence):
-        readjust(spoil(planted.truth), planted.water)
+        readjust(spoil(planted.truth))
 
 
-def test_images_that_nothing_connects_are_named(plant):
-    planted = plant()
-    truth = planted.truth
-    apart = truth.image < 4
-    keep = torch.where(truth.point % 2 == 0, apart, ~apart)
-    split = replace(truth, image=truth.image[keep], point=truth.point[keep], pixels=truth.pixels[keep]).cleaned()
+def test_views_that_nothing_connects_are_named(plant):
+    truth = plant().truth
+    seen, apart = truth.observations, truth.observations.view < 4
+    wanted = torch.where(seen.point % 2 == 0, apart, ~apart)
+    split = replace(truth, observations=seen[wanted], accepted=truth.accepted[wanted]).cleaned()
 
     with pytest.raises(UnadjustableError, match=r"no common points connect the images: 2 parts.*cam04.jpg, cam05.jpg"):
-        readjust(split, planted.water)
+        readjust(split)
 
 
 def test_measured_gravity_wants_a_frame_whose_z_points_up(plant):
-    planted = plant()
+    truth = plant().truth
     down = {
         name: SurveyedImage(down=((-rotation[:, 2]).tolist(), 0.01))
-        for name, rotation in zip(planted.truth.names, planted.truth.rotation, strict=True)
+        for name, rotation in zip(truth.views.names, truth.views.rotation, strict=True)
     }
     turn = torch.tensor(((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)), dtype=torch.float64)
-    turned = replace(planted.truth, rotation=planted.truth.rotation @ turn.T, center=planted.truth.center @ turn.T)
-    water = Water(1.33, turn[:, 2][None], planted.water.offset)
+    turned = replace(
+        truth,
+        views=truth.views.at(truth.views.rotation @ turn.T, truth.views.center @ turn.T),
+        interfaces=replace(truth.interfaces, normal=turn[:, 2][None]),
+    )
 
     with pytest.raises(SurveyError, match="disagree by 90 degrees"):
-        readjust(turned, water, resolve(down, {}, [], turned.names))
-    readjust(turned, water, Survey.empty(turned.names))
+        readjust(turned, resolve(down, {}, [], turned.views.names))
+    readjust(turned, Survey.empty(turned.views.names))
 
 
 def test_options_that_cannot_work_are_refused():

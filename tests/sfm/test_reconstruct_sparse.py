@@ -1,100 +1,119 @@
-"""The incremental reconstruction from verified pairs to a finished model."""
+"""The incremental reconstruction from verified pairs to a finished scene."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
 
+import torchrefrac as tr
 from torchrefrac.features import PairMatches, build_tracks
 from torchrefrac.geometry import align_above_plane, align_similarity, split_heading
+from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.scene import Cameras, Tracks
+from torchrefrac.scene import Cameras, Capture, Scene
 from torchrefrac.sfm import (
+    NoInitialPairError,
     PairPose,
     PinholeInitializer,
     Pose,
+    PoseInitializer,
     RefractiveInitializer,
     SfmOptions,
     VerifiedPair,
     reconstruct_sparse,
     verify_pairs,
 )
-from torchrefrac.sfm.incremental import NoInitialPairError
 
 OPTIONS = SfmOptions()
 HARD = {"noise": 0.1, "outliers": 0.05, "gravity_error_deg": 0.5}
 
 
-@pytest.fixture
-def reconstruct():
-    """`reconstruct(survey)`: from the matches of a survey to the reconstruction, as the pipeline does it."""
+@dataclass(frozen=True)
+class Prepared:
+    """What a reconstruction of a survey starts from, as the pipeline makes it."""
 
-    def run(survey, options=OPTIONS, recorder=None):
+    scene: Scene
+    capture: Capture
+    pairs: list[VerifiedPair]
+    initializer: PoseInitializer
+    options: SfmOptions
+    generator: torch.Generator
+
+    @classmethod
+    def of(cls, survey, options=OPTIONS, recorder=None) -> "Prepared":
         generator = torch.Generator().manual_seed(1)
-        initializer = RefractiveInitializer(survey.capture, survey.index_ratio, options)
+        initializer = RefractiveInitializer(survey.capture, survey.basin.index_ratio, options)
         if survey.basin.index_ratio == 1.0:
             initializer = PinholeInitializer(survey.capture, options)
         features, recorder = survey.features(), recorder or SilentRecorder()
         pairs = verify_pairs(survey.pairs(), features, initializer, options.min_pair_inliers, generator, recorder)
-        tracks = build_tracks(features, [pair.pair for pair in pairs])
-        return reconstruct_sparse(survey.capture, tracks, pairs, initializer, options, generator, recorder)
+        seen, colors = build_tracks(features, [pair.pair for pair in pairs])
+        scene = Scene.of_capture(survey.capture, seen, colors, initializer.index_ratio)
+        return cls(scene, survey.capture, pairs, initializer, options, generator)
 
-    return run
+
+def reconstruct(survey, options=OPTIONS, recorder=None) -> Scene:
+    """From the matches of a survey to the scene."""
+    given = Prepared.of(survey, options, recorder)
+    return reconstruct_sparse(
+        given.scene, given.capture, given.pairs, given.initializer, options, given.generator,
+        recorder or SilentRecorder(),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("index_ratio", [1.33, 1.0], ids=["water", "air"])
-def test_cameras_are_recovered_to_a_millimetre_from_a_metre_away(survey_of, reconstruct, index_ratio):
+def test_cameras_are_recovered_to_a_millimetre_from_a_metre_away(survey_of, index_ratio):
     survey = survey_of(cameras=6, points=300, index_ratio=index_ratio, **HARD)
 
     result = reconstruct(survey)
 
-    assert result.registered.all()
+    assert result.views.registered.all()
     assert result.failures == {}
     align = align_above_plane if index_ratio > 1.0 else align_similarity
-    centers = align(result.center, survey.basin.center).apply(result.center)
+    centers = align(result.views.center, survey.basin.center).apply(result.views.center)
     assert (centers - survey.basin.center).norm(dim=-1).amax() < 0.1
 
 
-def test_points_are_recovered_with_their_colours_and_wrong_observations_are_left_out(survey_of, reconstruct):
+def test_points_are_recovered_with_their_colours_and_wrong_observations_are_left_out(survey_of):
     survey = survey_of(points=200, **HARD)
 
     result = reconstruct(survey)
 
     assert len(result.points) > 100
     track = result.colors[:, 0].long()  # a survey colours its points by their number
-    points = align_above_plane(result.center, survey.basin.center).apply(result.points)
+    points = align_above_plane(result.views.center, survey.basin.center).apply(result.points)
     distance = (points - survey.basin.points[track]).norm(dim=-1)
     assert distance.median() < 0.5
     assert (distance < 2.0).double().mean() > 0.97
-    errors = result.reprojection_errors()
+    errors = result.errors()
     assert errors.amax() < OPTIONS.max_error
     assert errors.square().mean().sqrt() < 0.2
 
 
-def test_a_finished_point_is_seen_by_three_images_at_least_and_observations_are_sorted(survey_of, reconstruct):
+def test_a_finished_point_is_seen_by_three_images_at_least_and_observations_are_sorted(survey_of):
     result = reconstruct(survey_of(**HARD, points=120))
 
-    assert torch.bincount(result.point).amin() >= 3
-    order = result.point * len(result.names) + result.image
+    assert torch.bincount(result.observations.point).amin() >= 3
+    order = result.observations.point * len(result.views) + result.observations.view
     assert (order[1:] > order[:-1]).all()
-    assert torch.equal(result.point.unique(), torch.arange(len(result.points)))
+    assert torch.equal(result.observations.point.unique(), torch.arange(len(result.points)))
 
 
-def test_the_result_stands_in_the_frame_of_the_first_camera_and_its_measured_height(survey_of, reconstruct):
+def test_the_result_stands_in_the_frame_of_the_first_camera_and_its_measured_height(survey_of):
     result = reconstruct(survey_of(**HARD, points=120))
 
-    assert result.center[0].tolist() == pytest.approx([0.0, 0.0, 30.0], abs=1e-9)
-    assert float(split_heading(result.rotation[0])[1]) == pytest.approx(0.0, abs=1e-9)
-    assert float(result.center[1, 2]) == pytest.approx(40.0, abs=0.2)
+    assert result.views.center[0].tolist() == pytest.approx([0.0, 0.0, 30.0], abs=1e-9)
+    assert float(split_heading(result.views.rotation[0])[1]) == pytest.approx(0.0, abs=1e-9)
+    assert float(result.views.center[1, 2]) == pytest.approx(40.0, abs=0.2)
 
 
-def test_land_and_water_are_reconstructed_together(survey_of, reconstruct):
+def test_land_and_water_are_reconstructed_together(survey_of):
     survey = survey_of(points=200, land=60, noise=0.1, gravity_error_deg=0.5)
 
     result = reconstruct(survey, replace(OPTIONS, min_track_length=2))
 
-    assert result.registered.all()
-    points = align_above_plane(result.center, survey.basin.center).apply(result.points)
+    assert result.views.registered.all()
+    points = align_above_plane(result.views.center, survey.basin.center).apply(result.points)
     track = result.colors[:, 0].long()
     dry = survey.basin.points[track, 2] > 0.0
     distance = (points - survey.basin.points[track]).norm(dim=-1)
@@ -103,40 +122,39 @@ def test_land_and_water_are_reconstructed_together(survey_of, reconstruct):
     assert distance[~dry].median() < 0.2
 
 
-def test_two_images_are_enough(survey_of, reconstruct):
+def test_two_images_are_enough(survey_of):
     survey = survey_of(cameras=2, points=150, noise=0.1)
 
     result = reconstruct(survey)
 
-    assert result.registered.all()
+    assert result.views.registered.all()
     assert len(result.points) > 100
 
 
-def test_an_image_that_sees_nothing_of_the_scene_is_reported_with_the_reason(survey_of, reconstruct):
+def test_an_image_that_sees_nothing_of_the_scene_is_reported_with_the_reason(survey_of):
     survey = _without(survey_of(points=150, noise=0.1), image=2)
 
     result = reconstruct(survey)
 
-    assert result.registered.tolist() == [True, True, False, True]
+    assert result.views.registered.tolist() == [True, True, False, True]
     assert result.failures == {"2.jpg": "sees only 0 reconstructed points, of which a pose needs 20"}
-    assert torch.equal(result.rotation[2], torch.eye(3, dtype=torch.float64))
-    assert not (result.image == 2).any()
+    assert torch.equal(result.views.rotation[2], torch.eye(3, dtype=torch.float64))
+    assert not (result.observations.view == 2).any()
 
 
-def test_an_image_whose_matches_are_all_wrong_is_left_out_and_does_no_harm(survey_of, reconstruct, draw):
+def test_an_image_whose_matches_are_all_wrong_is_left_out_and_does_no_harm(survey_of, draw):
     survey = survey_of(points=150, noise=0.1)
-    last = survey.tracks.image == 3
-    nonsense = draw.uniform(0.0, 768.0, int(last.sum()), 2)
-    pixels = survey.tracks.pixels.clone()
-    pixels[last] = nonsense
+    last = survey.seen.view == 3
+    pixels = survey.seen.pixels.clone()
+    pixels[last] = draw.uniform(0.0, 768.0, int(last.sum()), 2)
 
-    result = reconstruct(replace(survey, tracks=replace(survey.tracks, pixels=pixels)))
+    result = reconstruct(replace(survey, seen=replace(survey.seen, pixels=pixels)))
 
-    assert result.registered.tolist() == [True, True, True, False]
+    assert result.views.registered.tolist() == [True, True, True, False]
     assert "3.jpg" in result.failures
-    kept = result.registered
-    centers = align_above_plane(result.center[kept], survey.basin.center[kept]).apply(result.center[kept])
-    assert (centers - survey.basin.center[kept]).norm(dim=-1).amax() < 0.5
+    there = result.views.registered
+    found, truth = result.views.center[there], survey.basin.center[there]
+    assert (align_above_plane(found, truth).apply(found) - truth).norm(dim=-1).amax() < 0.5
 
 
 def test_an_image_that_was_refused_is_tried_again_when_it_sees_more_points(survey_of, generator):
@@ -146,53 +164,116 @@ def test_an_image_that_was_refused_is_tried_again_when_it_sees_more_points(surve
     pair = VerifiedPair(PairMatches(0, 1, torch.zeros(50, 2, dtype=torch.long)), pose, 50)
 
     result = reconstruct_sparse(
-        survey.capture, survey.tracks, [pair], initializer, OPTIONS, generator, SilentRecorder()
+        survey.tracks(), survey.capture, [pair], initializer, OPTIONS, generator, SilentRecorder()
     )
 
     assert initializer.asked.count(initializer.asked[0]) == 2
-    assert result.registered.all()
+    assert result.views.registered.all()
     assert result.failures == {}
+
+
+@pytest.mark.parametrize("index_ratio", [1.33, 1.0], ids=["water", "air"])
+def test_the_verbs_in_a_loop_of_ones_own_find_the_same_cameras(survey_of, index_ratio):
+    """The incremental order of the verbs, in public names only."""
+    survey = survey_of(cameras=5, points=200, index_ratio=index_ratio, noise=0.1, gravity_error_deg=0.5)
+    expected = reconstruct(survey, replace(OPTIONS, min_track_length=2))
+
+    scene = incremental(Prepared.of(survey))
+
+    assert scene.views.registered.all()
+    align = align_above_plane if index_ratio > 1.0 else align_similarity
+    found = align(scene.views.center, expected.views.center).apply(scene.views.center)
+    torch.testing.assert_close(found, expected.views.center, rtol=0.0, atol=1e-6)
+    assert torch.equal(scene.trimmed().observations.pixels, expected.observations.pixels)
+
+
+def incremental(given):
+    """The scene from the best pair and then one view after the other, adjusted whenever it has grown by a tenth."""
+
+    def gravity(part):
+        if part.scene.index_ratio == 1.0:
+            return []
+        return [tr.bundle.GravityPrior(given.capture.down_in_cam[part.view], given.capture.down_sigma)]
+
+    rules = given.options.rules(given.initializer, gravity, given.generator)
+    solver = LevenbergMarquardtOptions(max_iterations=10, function_tolerance=1e-4)
+    growing = replace(rules, bundle=replace(rules.bundle, solver=solver))
+    scene, outcome = tr.sfm.start(given.scene, max(given.pairs, key=lambda pair: len(pair.pair)), rules)
+    assert outcome.done
+    scene = grown(scene, growing, rules)
+    while not scene.views.registered.all():
+        visible = torch.bincount(scene.observations.view[scene.placed[scene.observations.point]])
+        scene, outcome = tr.sfm.register(scene, int(visible.masked_fill(scene.views.registered, -1).argmax()), rules)
+        assert outcome.done, outcome
+        scene, _ = tr.sfm.triangulate(scene, rules)
+        scene = grown(scene, growing, rules)
+    for _ in range(given.options.final_rounds):
+        scene, _ = tr.sfm.triangulate(scene, rules)
+        scene, _ = tr.sfm.filter_points(scene, rules)
+        scene, _ = tr.sfm.adjust(scene, rules)
+    return tr.sfm.filter_points(scene, rules)[0]
+
+
+def grown(scene, growing, rules):
+    scene, _ = tr.sfm.adjust(scene, growing)
+    scene, _ = tr.sfm.filter_points(scene, rules)
+    return tr.sfm.triangulate(scene, rules)[0]
+
+
+def test_in_air_gravity_takes_no_part_in_the_adjustment(survey_of):
+    survey = survey_of(cameras=3, points=100, noise=1.0, index_ratio=1.0)
+    sure = replace(survey, capture=replace(survey.capture, down_sigma=1e-8))
+
+    with_gravity, without = reconstruct(sure), reconstruct(survey)
+
+    assert torch.equal(with_gravity.views.rotation, without.views.rotation)
+
+
+def test_the_capture_comes_with_the_scene(survey_of):
+    survey = survey_of(cameras=3, points=100, noise=0.1)
+
+    assert reconstruct(survey).capture is survey.capture
 
 
 def test_without_a_pair_there_is_nothing_to_start_from(survey_of, generator):
     survey = survey_of(cameras=3)
-    initializer = RefractiveInitializer(survey.capture, survey.index_ratio, OPTIONS)
+    initializer = RefractiveInitializer(survey.capture, survey.basin.index_ratio, OPTIONS)
 
     with pytest.raises(NoInitialPairError, match="none of 0 image pairs has enough matches and angle to start from"):
-        reconstruct_sparse(survey.capture, survey.tracks, [], initializer, OPTIONS, generator, SilentRecorder())
+        reconstruct_sparse(survey.tracks(), survey.capture, [], initializer, OPTIONS, generator, SilentRecorder())
 
 
-def test_pairs_whose_rays_open_too_little_cannot_start(survey_of, reconstruct):
+def test_pairs_whose_rays_open_too_little_cannot_start(survey_of):
     survey = survey_of(cameras=2, points=150)
 
     with pytest.raises(NoInitialPairError, match="none of 1 image pairs"):
         reconstruct(survey, replace(OPTIONS, min_angle_deg=80.0))
 
 
-def test_the_same_seed_gives_the_same_reconstruction_to_the_last_bit(survey_of, reconstruct):
+def test_the_same_seed_gives_the_same_reconstruction_to_the_last_bit(survey_of):
     survey = survey_of(cameras=3, points=100, **HARD)
 
     one, two = (reconstruct(survey) for _ in range(2))
 
-    assert torch.equal(one.center, two.center)
+    assert torch.equal(one.views.center, two.views.center)
     assert torch.equal(one.points, two.points)
-    assert torch.equal(one.image, two.image)
+    assert torch.equal(one.observations.view, two.observations.view)
 
 
-def test_the_radial_terms_of_a_wrong_lens_are_refined_on_request(survey_of, reconstruct):
+def test_the_radial_terms_of_a_wrong_lens_are_refined_on_request(survey_of):
     survey = survey_of(points=200, noise=0.05, distortion=(-0.05, 0.02, 0.0, 0.0, 0.0))
     wrong = replace(survey.capture.intrinsics, distortion=survey.capture.intrinsics.distortion * 0.8)
     survey = replace(survey, capture=replace(survey.capture, cameras=Cameras.of([wrong])))
     refine = replace(OPTIONS, bundle=replace(OPTIONS.bundle, refine=("radial",)))
 
-    kept, refined = reconstruct(survey), reconstruct(survey, refine)
+    given, refined = reconstruct(survey), reconstruct(survey, refine)
 
-    assert torch.equal(kept.intrinsics.distortion, wrong.distortion)
+    assert torch.equal(given.intrinsics.distortion, wrong.distortion)
     assert float(refined.intrinsics.distortion[0]) == pytest.approx(-0.05, abs=2e-3)
-    assert refined.reprojection_errors().square().mean() < 0.5 * kept.reprojection_errors().square().mean()
+    assert refined.errors().square().mean() < 0.5 * given.errors().square().mean()
 
 
-def test_the_recorder_hears_of_every_image_and_of_the_cost_in_order(survey_of, reconstruct, recorder):
+def test_the_recorder_hears_of_every_image_and_of_the_cost_in_order(survey_of, recorder):
     reconstruct(survey_of(points=100, noise=0.1), recorder=recorder)
 
     images = [value for name, value, _ in recorder.scalars if name == "registration/images"]
@@ -205,7 +286,7 @@ def test_the_recorder_hears_of_every_image_and_of_the_cost_in_order(survey_of, r
     assert all(value > 0.0 for value, _ in damping)
 
 
-def test_the_recorder_hears_how_many_points_agree_with_each_new_pose(survey_of, reconstruct, recorder):
+def test_the_recorder_hears_how_many_points_agree_with_each_new_pose(survey_of, recorder):
     reconstruct(survey_of(points=100, noise=0.1, outliers=0.1), recorder=recorder)
 
     told = {name: [v for n, v, _ in recorder.scalars if n == name] for name, _, _ in recorder.scalars}
@@ -214,7 +295,7 @@ def test_the_recorder_hears_how_many_points_agree_with_each_new_pose(survey_of, 
     assert all(0.5 < value <= 1.0 for value in told["registration/inlier_ratio"])
 
 
-def test_residuals_and_points_are_shown_after_every_adjustment_of_everything(survey_of, reconstruct):
+def test_residuals_and_points_are_shown_after_every_adjustment_of_everything(survey_of):
     pictures = Pictures()
 
     reconstruction = reconstruct(survey_of(points=100, noise=0.1), recorder=pictures)
@@ -222,7 +303,7 @@ def test_residuals_and_points_are_shown_after_every_adjustment_of_everything(sur
     assert [step for _, step in pictures.histograms] == [step for _, step in pictures.clouds]
     assert [step for _, step in pictures.clouds] == list(range(len(pictures.details) + 1))
     values, _ = pictures.histograms[-1]
-    assert torch.equal(values, reconstruction.reprojection_errors())
+    assert torch.equal(values, reconstruction.errors())
     points, _ = pictures.clouds[-1]
     assert torch.equal(points, reconstruction.points)
     assert all(text.startswith("adjusted ") and " iterations, " in text for text in pictures.details)
@@ -247,11 +328,15 @@ class Pictures(SilentRecorder):
         self.details.append(text)
 
 
-class _Knowing:
+class _Knowing(PoseInitializer):
     """An initialiser that knows the true poses, but finds none when it is first asked."""
 
     def __init__(self, survey):
-        self.basin, self.index_ratio, self.asked = survey.basin, survey.index_ratio, []
+        self.basin, self.asked = survey.basin, []
+
+    @property
+    def index_ratio(self):
+        return self.basin.index_ratio
 
     def absolute(self, image, pixels, points, generator):
         self.asked.append(image)
@@ -263,6 +348,5 @@ class _Knowing:
 
 def _without(survey, image):
     """The survey where `image` sees nothing."""
-    tracks, keep = survey.tracks, survey.tracks.image != image
-    seen = Tracks(tracks.image[keep], tracks.track[keep], tracks.pixels[keep], tracks.colors[keep], tracks.num_tracks)
-    return replace(survey, tracks=seen, wrong=survey.wrong[keep])
+    rows = survey.seen.view != image
+    return replace(survey, seen=survey.seen[rows], wrong=survey.wrong[rows])

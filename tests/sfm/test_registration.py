@@ -1,27 +1,35 @@
-"""One more image."""
+"""One more view."""
 
 from dataclasses import replace
 
 import pytest
 import torch
 
-from torchrefrac.sfm import Pose, RefractiveInitializer, SfmOptions
-from torchrefrac.sfm.registration import register_image, visible_points
+from torchrefrac.geometry import Rigid
+from torchrefrac.sfm import Pose, PoseInitializer, RefractiveInitializer, Registration, Rules, SfmOptions, register
+from torchrefrac.sfm.register import visible_points
 
 OPTIONS = SfmOptions(min_registration_inliers=20)
 
 
 @pytest.fixture
 def without_last(survey_of):
-    """A survey, and its true model in which the last of four images is not registered yet."""
+    """A survey, and its true scene in which the last of four views is not registered yet."""
     survey = survey_of(points=80)
-    model = survey.model(with_points=True)
-    rotation, center = model.rotation.clone(), model.center.clone()
+    scene = survey.scene(with_points=True)
+    rotation, center = scene.views.rotation.clone(), scene.views.center.clone()
     rotation[3], center[3] = torch.eye(3, dtype=torch.float64), 0.0
-    return survey, replace(model, registered=torch.arange(4) < 3, rotation=rotation, center=center)
+    views = replace(scene.views, pose=Rigid(rotation, center), registered=torch.arange(4) < 3)
+    return survey, replace(scene, views=views)
 
 
-class Answering:
+@pytest.fixture
+def rules(generator):
+    """`rules(poses)`: by what views are registered."""
+    return lambda poses: OPTIONS.rules(poses, seed=generator)
+
+
+class Answering(PoseInitializer):
     """An initialiser that gives one answer and keeps what it was asked."""
 
     def __init__(self, inliers):
@@ -38,80 +46,86 @@ class Answering:
         )
 
 
-def test_an_image_is_registered_where_it_stood(without_last, generator):
-    survey, model = without_last
-    initializer = RefractiveInitializer(survey.capture, survey.index_ratio, OPTIONS)
+def test_a_view_is_registered_where_it_stood(without_last, rules):
+    survey, scene = without_last
 
-    grown, reason = register_image(model, 3, initializer, OPTIONS, generator)
+    grown, outcome = register(scene, 3, rules(RefractiveInitializer(survey.capture, survey.basin.index_ratio, OPTIONS)))
 
-    assert reason == ""
-    assert grown.registered.all()
-    torch.testing.assert_close(grown.center[3], survey.basin.center[3], rtol=0.0, atol=1e-3)
-    torch.testing.assert_close(grown.rotation[3], survey.basin.rotation[3], rtol=0.0, atol=1e-5)
-
-
-def test_the_other_images_stay_as_they_are(without_last, generator):
-    _, model = without_last
-
-    grown, _ = register_image(model, 3, Answering(30), OPTIONS, generator)
-
-    assert torch.equal(grown.center[:3], model.center[:3])
-    assert torch.equal(grown.rotation[:3], model.rotation[:3])
-    assert not model.registered[3]
+    assert outcome.kind is Registration.DONE
+    assert grown.views.registered.all()
+    torch.testing.assert_close(grown.views.center[3], survey.basin.center[3], rtol=0.0, atol=1e-3)
+    torch.testing.assert_close(grown.views.rotation[3], survey.basin.rotation[3], rtol=0.0, atol=1e-5)
 
 
-def test_the_initialiser_is_asked_about_the_points_that_exist(without_last, generator):
-    _, model = without_last
-    has_point = torch.arange(80) % 3 != 0
+def test_the_other_views_stay_as_they_are(without_last, rules):
+    _, scene = without_last
+
+    grown, _ = register(scene, 3, rules(Answering(30)))
+
+    assert torch.equal(grown.views.center[:3], scene.views.center[:3])
+    assert torch.equal(grown.views.rotation[:3], scene.views.rotation[:3])
+    assert not scene.views.registered[3]
+
+
+def test_the_initialiser_is_asked_about_the_points_that_exist(without_last, rules):
+    _, scene = without_last
+    placed, seen = torch.arange(80) % 3 != 0, scene.observations
     initializer = Answering(None)
 
-    register_image(replace(model, has_point=has_point), 3, initializer, OPTIONS, generator)
+    register(replace(scene, placed=placed), 3, rules(initializer))
 
-    rows = (model.tracks.image == 3) & has_point[model.tracks.track]
+    rows = (seen.view == 3) & placed[seen.point]
     assert initializer.asked[0] == 3
-    assert torch.equal(initializer.asked[1], model.tracks.pixels[rows])
-    assert torch.equal(initializer.asked[2], model.points[model.tracks.track[rows]])
+    assert torch.equal(initializer.asked[1], seen.pixels[rows])
+    assert torch.equal(initializer.asked[2], scene.points[seen.point[rows]])
 
 
-def test_an_image_that_sees_too_few_points_is_refused_with_the_numbers(without_last, generator):
-    _, model = without_last
-    seen = model.tracks.track[model.tracks.image == 3][:19]
-    has_point = torch.zeros(80, dtype=torch.bool)
-    has_point[seen] = True
+def test_a_view_that_sees_too_few_points_is_refused_with_the_numbers(without_last, rules):
+    _, scene = without_last
+    placed = torch.zeros(80, dtype=torch.bool)
+    placed[scene.observations.point[scene.observations.view == 3][:19]] = True
 
-    same, reason = register_image(replace(model, has_point=has_point), 3, Answering(19), OPTIONS, generator)
+    same, outcome = register(replace(scene, placed=placed), 3, rules(Answering(19)))
 
-    assert reason == "sees only 19 reconstructed points, of which a pose needs 20"
-    assert not same.registered[3]
+    assert outcome.kind is Registration.FEW_POINTS
+    assert str(outcome) == "sees only 19 reconstructed points, of which a pose needs 20"
+    assert not same.views.registered[3]
 
 
 @pytest.mark.parametrize(("inliers", "agreeing"), [(None, 0), (19, 19)])
-def test_a_pose_that_too_few_points_agree_with_is_refused_with_the_numbers(without_last, generator, inliers, agreeing):
-    _, model = without_last
-    count = int((model.tracks.image == 3).sum())
+def test_a_pose_that_too_few_points_agree_with_is_refused_with_the_numbers(without_last, rules, inliers, agreeing):
+    _, scene = without_last
+    count = int((scene.observations.view == 3).sum())
 
-    same, reason = register_image(model, 3, Answering(inliers), OPTIONS, generator)
+    same, outcome = register(scene, 3, rules(Answering(inliers)))
 
-    assert reason == f"no pose agrees with more than {agreeing} of the {count} reconstructed points that it sees"
-    assert same is model
-
-
-def test_visible_points_are_counted_for_every_image(without_last):
-    _, model = without_last
-    has_point = torch.arange(80) % 3 == 0
-
-    counts = visible_points(replace(model, has_point=has_point))
-
-    expected = [int(((model.tracks.image == i) & has_point[model.tracks.track]).sum()) for i in range(4)]
-    assert counts.tolist() == expected
+    expected = f"no pose agrees with more than {agreeing} of the {count} reconstructed points that it sees"
+    assert outcome.kind is Registration.NO_POSE
+    assert str(outcome) == expected
+    assert same is scene
 
 
-def test_the_observations_that_agree_with_the_pose_support_the_image_from_then_on(without_last, generator):
-    _, model = without_last
-    model = replace(model, active=model.active & (model.tracks.image != 3))
+def test_rules_that_find_no_poses_register_nothing(without_last):
+    with pytest.raises(ValueError, match="poses is None, but must find poses"):
+        register(without_last[1], 3, Rules())
 
-    grown, _ = register_image(model, 3, Answering(25), OPTIONS, generator)
 
-    new = grown.active & ~model.active
-    assert int(new.sum()) == 25
-    assert (grown.tracks.image[new] == 3).all()
+def test_visible_points_are_counted_for_every_view(without_last):
+    _, scene = without_last
+    placed, seen = torch.arange(80) % 3 == 0, scene.observations
+
+    counts = visible_points(replace(scene, placed=placed))
+
+    assert counts.tolist() == [int(((seen.view == i) & placed[seen.point]).sum()) for i in range(4)]
+
+
+def test_the_observations_that_agree_with_the_pose_support_the_view_from_then_on(without_last, rules):
+    _, scene = without_last
+    scene = replace(scene, accepted=scene.accepted & (scene.observations.view != 3))
+
+    grown, outcome = register(scene, 3, rules(Answering(25)))
+
+    new = grown.accepted & ~scene.accepted
+    assert int(new.sum()) == outcome.numbers["agreeing"] == 25
+    assert (grown.observations.view[new] == 3).all()
+    assert str(outcome).startswith("25 of the ")

@@ -42,14 +42,6 @@ class Assessment:
     fixed: Mapping[str, str] = field(default_factory=dict)
 
 
-class Part(NamedTuple):
-    """Those views and points of a scene that take part in something, renumbered: view and point say what they were."""
-
-    scene: "Scene"
-    view: Int[Tensor, " k"]
-    point: Int[Tensor, " p"]
-
-
 @dataclass(frozen=True, eq=False)
 class Scene:
     """What is known of a scene, at any stage; every step makes a new one.
@@ -209,7 +201,7 @@ class Scene:
             observations=self.observations.detached(),
         )
 
-    def part(self, min_observations: int = 1) -> Part:
+    def part(self, min_observations: int = 1) -> "Part":
         """Registered views, the points with so many accepted observations, and these observations."""
         rows = self.accepted & self.placed[self.observations.point]
         if min_observations > 1:
@@ -221,6 +213,7 @@ class Scene:
         slot = self.views.registered.long().cumsum(dim=0) - 1
         scene = replace(
             self,
+            capture=self.capture and self.capture.of_views(view.tolist()),
             views=self.views[view],
             points=self.points[ids],
             colors=self.colors[ids],
@@ -230,7 +223,7 @@ class Scene:
         )
         return Part(scene, view, ids)
 
-    def with_part(self, part: Part, changed: "Scene") -> "Scene":
+    def with_part(self, part: "Part", changed: "Scene") -> "Scene":
         """With the poses and points of a part, and with all cameras and interfaces, as they are in `changed`."""
         return replace(
             self,
@@ -293,6 +286,14 @@ class Scene:
         first[order[1:][repeats]] = False
         several = torch.bincount(seen.point[first], minlength=n) >= 2
         return replace(self, accepted=first & several[seen.point]).trimmed()
+
+
+class Part(NamedTuple):
+    """Those views and points of a scene that take part in something, renumbered: view and point say what they were."""
+
+    scene: Scene
+    view: Int[Tensor, " k"]
+    point: Int[Tensor, " p"]
 
 
 def reprojection_errors(

@@ -60,12 +60,12 @@ def survey_terms(survey: Survey, part: Part, ties: int) -> Sequence[Term]:
     first view that shows it.
     """
     image_slot = _slots(part.view, len(survey.names))
-    control_slot = _slots(part.point, ties + len(survey.control_names))[ties:]
+    slot = _slots(part.point, ties + len(survey.control_names))[ties:]
     down, height, center = (
         _present(image_slot, rows) for rows in (survey.down_image, survey.height_image, survey.center_image)
     )
-    known, waterline = _present(control_slot, survey.known_control), _present(control_slot, survey.waterline_control)
-    bars = (control_slot[survey.bar_from] >= 0) & (control_slot[survey.bar_to] >= 0)
+    known, waterline = _present(slot, survey.known_control), _present(slot, survey.waterline_control)
+    bars = (slot[survey.bar_from] >= 0) & (slot[survey.bar_to] >= 0)
     terms: list[Term] = []
     if len(down):
         image = image_slot[survey.down_image[down]]
@@ -77,15 +77,15 @@ def survey_terms(survey: Survey, part: Part, ties: int) -> Sequence[Term]:
         image = image_slot[survey.center_image[center]]
         terms.append(CenterPrior(image, survey.center[center], survey.center_information[center]))
     if len(known):
-        point = control_slot[survey.known_control[known]]
+        point = slot[survey.known_control[known]]
         terms.append(KnownPoints(point, survey.known_position[known], survey.known_information[known]))
     if len(waterline):
-        control = control_slot[survey.waterline_control[waterline]]
+        control = slot[survey.waterline_control[waterline]]
         seen = part.scene.observations
         surface = part.scene.views.interface[seen.view[torch.searchsorted(seen.point, control)]]
         terms.append(Waterline(control, surface, survey.waterline_sigma[waterline]))
     if bool(bars.any()):
-        ends = control_slot[survey.bar_from[bars]], control_slot[survey.bar_to[bars]]
+        ends = slot[survey.bar_from[bars]], slot[survey.bar_to[bars]]
         terms.append(ScaleBars(*ends, survey.bar_length[bars], survey.bar_sigma[bars]))
     return terms
 

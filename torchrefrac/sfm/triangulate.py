@@ -26,7 +26,7 @@ def triangulate(scene: Scene, rules: Rules, wanted: Bool[Tensor, " n"] | None = 
     wanted = ~scene.placed if wanted is None else wanted
     seen = scene.observations
     rows = (scene.views.registered[seen.view] & wanted[seen.point]).nonzero()[:, 0]
-    points, placed, accepted = scene.points.clone(), scene.placed & ~wanted, scene.accepted.clone()
+    points, placed, accepted = scene.points.clone(), scene.placed & ~wanted, scene.accepted & ~wanted[seen.point]
     judged = rules.max_error < torch.inf
     for _ in range(1 + DROP_ROUNDS if judged else 1):
         rows = rows[torch.bincount(seen.point[rows], minlength=len(placed))[seen.point[rows]] >= 2]
@@ -48,13 +48,11 @@ def triangulate(scene: Scene, rules: Rules, wanted: Bool[Tensor, " n"] | None = 
         failing = ~good[slot]
         at_worst = failing & (error == worst[slot])
         rows = rows[failing & ~_first_of_each(at_worst, slot, len(found))]
-    new = placed & wanted
+    new, scene = placed & wanted, replace(scene, points=points, placed=placed, accepted=accepted)
     if not bool(new.any()):
-        return replace(scene, placed=placed), Outcome(Triangulation.NOTHING)
-    scene = replace(scene, points=points, placed=placed, accepted=accepted)
-    return scene if rules.rough else _polished(scene, new, rules), Outcome(
-        Triangulation.DONE, {"points": int(new.sum())}
-    )
+        return scene, Outcome(Triangulation.NOTHING)
+    outcome = Outcome(Triangulation.DONE, {"points": int(new.sum())})
+    return scene if rules.rough else _polished(scene, new, rules), outcome
 
 
 def _polished(scene: Scene, new: Bool[Tensor, " n"], rules: Rules) -> Scene:
