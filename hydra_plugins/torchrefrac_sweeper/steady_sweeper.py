@@ -158,7 +158,8 @@ class SteadySweeper(BasicSweeper):
             return False
         for job, result in zip(batch, returned, strict=True):
             if result.status is not JobStatus.COMPLETED and not folder.has_record(job):
-                folder.fail(job, one_sentence(result._return_value), *self._defaults)
+                error = result._return_value  # pyright: ignore[reportPrivateUsage]
+                folder.fail(job, one_sentence(error), *self._defaults)
         return True
 
 

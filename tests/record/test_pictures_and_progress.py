@@ -59,7 +59,7 @@ def test_several_recorders_pass_each_item_once():
     stream = io.StringIO()
     both = Recorders(TerminalRecorder(stream), SilentRecorder())
     both.scalar("a", 1.0, 0)
-    both.cloud("b", torch.zeros(1, 3), torch.zeros(1, 3), 0)
+    both.cloud("b", torch.zeros(1, 3), torch.zeros(1, 3, dtype=torch.uint8), 0)
     both.note("a line")
     assert list(both.track([1, 2], 2, "stage", "item")) == [1, 2]
     assert "a line" in stream.getvalue()

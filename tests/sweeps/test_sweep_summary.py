@@ -8,7 +8,7 @@ import math
 import cv2
 import pytest
 
-from torchrefrac.figures.panels import blank_figure
+from torchrefrac.figures.plotting import blank_figure
 from torchrefrac.figures.side_views import MODEL_COLORS, TITLES
 from torchrefrac.files.run import RunRecord
 from torchrefrac.sweeps.axes import set_heights

@@ -72,7 +72,7 @@ def test_neither_tiles_nor_threads_nor_kept_rays_change_a_photograph(stage, opti
     whole, again = photographer.take(IMAGE), photographer.take(IMAGE)
 
     monkeypatch.setattr(photograph, "TILE_RAYS", 500)
-    monkeypatch.setattr(photograph, "KEPT_BYTES", 0)
+    monkeypatch.setattr(photograph, "READY_BYTES", 0)
     threads = torch.get_num_threads()
     try:
         torch.set_num_threads(2)

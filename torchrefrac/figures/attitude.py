@@ -9,7 +9,16 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchrefrac.figures.plotting import ESTIMATE, MEASURED, TRUE, legend_above, number_images, panels, rounded
+from torchrefrac.figures.plotting import (
+    ESTIMATE,
+    MEASURED,
+    TRUE,
+    legend_above,
+    legend_key,
+    number_images,
+    panels,
+    rounded,
+)
 from torchrefrac.geometry import split_heading
 from torchrefrac.scene import Capture, Scene, Truth
 
@@ -62,8 +71,6 @@ def attitudes(scene: Scene, capture: Capture | None, truth: Truth | None) -> tup
 
 def attitude_figure(images: Int[Tensor, " k"], angles: Sequence[Angle], count: int) -> Any:
     """A row an angle: on the left what it is, on the right by how much estimated and known differ."""
-    from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
-
     figure, grid = panels(len(angles), 2, 0.7 + 1.75 * len(angles), sharex="col", width_ratios=(1.0, 1.0))
     numbers = (images + 1).numpy()
     for (values, errors), angle in zip(grid, angles, strict=True):
@@ -82,11 +89,11 @@ def attitude_figure(images: Int[Tensor, " k"], angles: Sequence[Angle], count: i
     grid[0][1].set_title("estimated minus known", fontsize=11)
     for panel in grid[-1]:
         number_images(panel, count)
-    handles = [Line2D([], [], marker="o", ls="", color=ESTIMATE, label="estimated")]
+    handles = [legend_key(marker="o", ls="", color=ESTIMATE, label="estimated")]
     if any(angle.measured is not None for angle in angles):
-        handles.append(Line2D([], [], marker="s", ls="", mfc="none", color=MEASURED, label="measured (IMU)"))
+        handles.append(legend_key(marker="s", ls="", mfc="none", color=MEASURED, label="measured (IMU)"))
     if any(angle.true is not None for angle in angles):
-        handles.append(Line2D([], [], marker="D", ms=4, color=TRUE, label="true"))
+        handles.append(legend_key(marker="D", ms=4, color=TRUE, label="true"))
     legend_above(figure, handles)
     return figure
 

@@ -7,12 +7,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.figures.panels import OUTLINE, blank_figure, color_bar, outlines
-from torchrefrac.figures.plotting import SECOND, WIDTH, height_colors, legend_above
+from torchrefrac.figures.panels import OUTLINE, TURN_DEG, from_side, oblique, outlines
+from torchrefrac.figures.plotting import (
+    SECOND,
+    WIDTH,
+    blank_figure,
+    color_bar,
+    color_scale,
+    height_colors,
+    legend_above,
+    legend_key,
+)  # fmt: skip
 from torchrefrac.figures.side_views import INK, WATER
 from torchrefrac.scene import Scene, Truth
 
-TURN_DEG, RISE_DEG = 30.0, 28.0  # from where the oblique view looks
 SLIM, TALL = 0.35, 1.15  # a panel, its height over its width
 TAILS = (0.01, 0.99)
 
@@ -22,14 +30,10 @@ def cameras_figure(shown: Scene, truth: Truth | None) -> Any:
 
     A line joins the cameras in the order of the images; crosses are the true centres, where `truth` has them.
     """
-    from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - slow to import
-    from matplotlib.colors import Normalize  # noqa: PLC0415
-    from matplotlib.lines import Line2D  # noqa: PLC0415
-
     unit, height = shown.length_unit, shown.points[:, 2]
     low, high = (float(height.quantile(tail)) for tail in TAILS) if len(height) else (0.0, 1.0)
-    colored = ScalarMappable(Normalize(low, max(high, low + 1e-9)), height_colors())
-    frames = (torch.eye(3, dtype=torch.float64), _oblique())
+    colored = color_scale(low, max(high, low + 1e-9), height_colors())
+    frames = (torch.eye(3, dtype=torch.float64), oblique(from_side(None), -TURN_DEG))
     limits = [_limits(shown, truth, frame) for frame in frames]
     widths = [x[1] - x[0] for x, _ in limits]
     tall = max((y[1] - y[0]) / (x[1] - x[0]) for x, y in limits)
@@ -48,11 +52,11 @@ def cameras_figure(shown: Scene, truth: Truth | None) -> Any:
     for spine in views[1].spines.values():
         spine.set_visible(False)
     color_bar(figure, colored, list(views), f"height ({unit})")
-    handles = [Line2D([], [], color=INK, lw=1.2, label="cameras"), Line2D([], [], color=WATER, lw=1.0, label="path")]
+    handles = [legend_key(color=INK, lw=1.2, label="cameras"), legend_key(color=WATER, lw=1.0, label="path")]
     if truth is not None:
-        handles.append(Line2D([], [], marker="+", ls="", color=SECOND, label="true camera centres"))
+        handles.append(legend_key(marker="+", ls="", color=SECOND, label="true camera centres"))
         if len(truth.corner):
-            handles.append(Line2D([], [], color=OUTLINE, lw=1.5, label="true planes"))
+            handles.append(legend_key(color=OUTLINE, lw=1.5, label="true planes"))
     legend_above(figure, handles)
     return figure
 
@@ -98,16 +102,6 @@ def pyramids(shown: Scene) -> Float[Tensor, "lines 4 3"]:
     ends = centers[:, None] + size * rays @ shown.views.rotation[shown.views.registered]
     apex = centers[:, None].expand_as(ends)
     return torch.stack((apex, ends, ends.roll(-1, dims=1), apex), dim=2).flatten(0, 1)
-
-
-def _oblique() -> Float[Tensor, "3 3"]:
-    turn, rise = math.radians(TURN_DEG), math.radians(RISE_DEG)
-    right = torch.tensor((math.cos(turn), math.sin(turn), 0.0), dtype=torch.float64)
-    level = torch.tensor((math.sin(turn), -math.cos(turn), 0.0), dtype=torch.float64)
-    above = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
-    return torch.stack(
-        (right, math.cos(rise) * above - math.sin(rise) * level, math.sin(rise) * above + math.cos(rise) * level)
-    )
 
 
 def _limits(

@@ -3,7 +3,6 @@
 As in `figures`, without global state and without a display. Of more than MOST points a panel draws every k-th.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,8 +15,9 @@ from torch import Tensor
 
 from torchrefrac.atomic import replacing
 from torchrefrac.evaluate.dense_metrics import INLIER_SIGMAS, MAD_TO_SIGMA, signed_plane_distance
-from torchrefrac.figures.panels import EMPTY, Column, Row, blank_figure, color_bar, draw_grid, outlines, rounded_up
-from torchrefrac.figures.side_views import PANEL_INCHES, TITLES, SideView, side_direction, side_view
+from torchrefrac.figures.panels import EMPTY, Column, Row, draw_grid, from_side, oblique, outlines, rounded_up
+from torchrefrac.figures.plotting import blank_figure, color_bar
+from torchrefrac.figures.side_views import PANEL_INCHES, TITLES, SideView, side_view
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Scene
 from torchrefrac.scene.dense import DenseCloud, DepthMap
@@ -25,7 +25,6 @@ from torchrefrac.scene.truth import Truth
 
 MOST = 150_000
 HEIGHT_COLORS, ERROR_COLORS, DEPTH_COLORS = "jet_r", "RdYlBu", "viridis_r"
-TURN_DEG, RISE_DEG = 30.0, 28.0  # from where an oblique view looks: turned from the side, and raised
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ def draw_error_map(panels: Sequence[ErrorPanel], truth: Truth, path: Path, limit
     scale = _robust_limit([column.values for column in columns]) if limit is None else limit
     rows = (
         Row(torch.eye(3, dtype=torch.float64), (f"x ({unit})", f"y ({unit})"), False, EMPTY),
-        Row(_from_side(truth), (f"horizontal ({unit})", f"height ({unit})"), False, EMPTY),
+        Row(from_side(truth), (f"horizontal ({unit})", f"height ({unit})"), False, EMPTY),
     )
     draw_grid(columns, rows, truth, (ERROR_COLORS, -scale, scale, f"above the true plane ({unit})"), path)
 
@@ -94,9 +93,9 @@ def draw_dense_views(views: Sequence[SideView], truth: Truth | None, path: Path)
         Column(v.title, v.caption, points, points[:, 2], v.centers, v.has_water, unit)
         for v, points in zip(views, shown, strict=True)
     ]
-    side = _from_side(truth)
+    side = from_side(truth)
     rows = (
-        Row(_turned(side), None, False, "white"),
+        Row(oblique(side), None, False, "white"),
         Row(side, (f"horizontal ({unit})", f"height ({unit})"), True, "white"),
     )
     true_heights = outlines(truth)[..., 2].flatten()
@@ -146,22 +145,6 @@ def _caption(count: int, metrics: Mapping[str, Any], unit: str) -> str:
         rms, share = metrics[f"dense_plane_rms_{unit}"], 100.0 * metrics["dense_plane_inliers"]
         lines.append(f"RMS {rms:.3g} {unit} over {share:.1f} % inliers")
     return "\n".join(lines)
-
-
-def _from_side(truth: Truth | None) -> Float[Tensor, "3 3"]:
-    """Frame that looks along the horizontal direction in which the true planes are thinnest."""
-    x, y = side_direction(truth).tolist()
-    return torch.tensor(((x, y, 0.0), (0.0, 0.0, 1.0), (y, -x, 0.0)), dtype=torch.float64)
-
-
-def _turned(side: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
-    """The frame of an oblique view: that from the side, turned about the vertical and raised."""
-    turn, rise = math.radians(TURN_DEG), math.radians(RISE_DEG)
-    right = math.cos(turn) * side[0] + math.sin(turn) * side[2]
-    level = math.cos(turn) * side[2] - math.sin(turn) * side[0]
-    return torch.stack(
-        (right, math.cos(rise) * side[1] - math.sin(rise) * level, math.sin(rise) * side[1] + math.cos(rise) * level)
-    )
 
 
 def _thin(rows: Shaped[Tensor, "n *row"]) -> Shaped[Tensor, "m *row"]:

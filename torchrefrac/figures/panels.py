@@ -10,11 +10,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
-from torchrefrac.figures.side_views import INK, PANEL_INCHES, WATER, corners_of
+from torchrefrac.figures.plotting import blank_figure, color_bar, color_scale, legend_key
+from torchrefrac.figures.side_views import INK, PANEL_INCHES, WATER, corners_of, side_direction
 from torchrefrac.scene.truth import Truth
 
 EMPTY, OUTLINE = "#d4d4d4", "#8c8c8c"
 GOLDEN = 0.6180339887498949  # its multiples fill the interval from 0 to 1 evenly, modulo 1
+TURN_DEG, RISE_DEG = 30.0, 28.0  # from where an oblique view looks: turned from the side, and raised
 SLIMMEST = 0.2  # a panel, its shorter side over its longer one
 
 
@@ -51,9 +53,6 @@ def draw_grid(
     path: Path,
 ) -> None:
     """A grid of panels, a column a reconstruction, and a row a way to look at it; colours: map, ends, label."""
-    from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - slow to import
-    from matplotlib.colors import Normalize  # noqa: PLC0415
-
     name, low, high, label = colors
     limits = [_limits(columns, row, truth) for row in rows]
     ratios = [(y[1] - y[0]) / (x[1] - x[0]) for x, y in limits]
@@ -63,7 +62,7 @@ def draw_grid(
     grid = figure.subplots(
         len(rows), len(columns), sharex="row", sharey="row", squeeze=False, gridspec_kw={"height_ratios": ratios}
     )
-    colored = ScalarMappable(Normalize(low, high), name)
+    colored = color_scale(low, high, name)
     for panels, row, (x, y) in zip(grid, rows, limits, strict=True):
         for panel, column in zip(panels, columns, strict=True):
             _draw_points(panel, column, row, colored, blur=0.01 * (x[1] - x[0]))
@@ -123,33 +122,15 @@ def _scale_bar(panel: Any, x: tuple[float, float], y: tuple[float, float], unit:
 
 
 def _legend(figure: Any, columns: Sequence[Column], rows: Sequence[Row], truth: Truth | None) -> None:
-    from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
-
     handles = []
     if any(row.has_cameras for row in rows):
-        handles.append(Line2D([], [], marker="^", ls="", mfc="none", mec=INK, label="cameras"))
+        handles.append(legend_key(marker="^", ls="", mfc="none", mec=INK, label="cameras"))
         if any(column.has_water for column in columns):
-            handles.append(Line2D([], [], color=WATER, label="water surface"))
+            handles.append(legend_key(color=WATER, label="water surface"))
     if len(outlines(truth)):
-        handles.append(Line2D([], [], color=OUTLINE, lw=1.5, label="true planes"))
+        handles.append(legend_key(color=OUTLINE, lw=1.5, label="true planes"))
     if handles:
         figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=9, frameon=False)
-
-
-def color_bar(figure: Any, colored: Any, panels: list[Any], label: str) -> None:
-    bar = figure.colorbar(colored, ax=panels, pad=0.01, aspect=30, fraction=0.15 / len(panels), extend="both")
-    bar.set_label(label, fontsize=10)
-    bar.ax.tick_params(labelsize=8)
-
-
-def blank_figure(width: float, height: float) -> Any:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
-    from matplotlib.figure import Figure  # noqa: PLC0415
-
-    figure = Figure(figsize=(width, height), dpi=150)
-    figure.set_layout_engine("constrained")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def _limits(
@@ -170,6 +151,22 @@ def _limits(
     half = half.clamp(min=SLIMMEST * float(half.max())) if half.max() > 0.0 else torch.ones_like(half)
     ends = torch.stack((0.5 * (low + high) - half, 0.5 * (low + high) + half), dim=-1).tolist()
     return (ends[0][0], ends[0][1]), (ends[1][0], ends[1][1])
+
+
+def oblique(side: Float[Tensor, "3 3"], turn_deg: float = TURN_DEG) -> Float[Tensor, "3 3"]:
+    """The frame of an oblique view: that from the side, turned about the vertical and raised."""
+    turn, rise = math.radians(turn_deg), math.radians(RISE_DEG)
+    right = math.cos(turn) * side[0] + math.sin(turn) * side[2]
+    level = math.cos(turn) * side[2] - math.sin(turn) * side[0]
+    return torch.stack(
+        (right, math.cos(rise) * side[1] - math.sin(rise) * level, math.sin(rise) * side[1] + math.cos(rise) * level)
+    )
+
+
+def from_side(truth: Truth | None) -> Float[Tensor, "3 3"]:
+    """Frame that looks along the horizontal direction in which the true planes are thinnest."""
+    x, y = side_direction(truth).tolist()
+    return torch.tensor(((x, y, 0.0), (0.0, 0.0, 1.0), (y, -x, 0.0)), dtype=torch.float64)
 
 
 def outlines(truth: Truth | None) -> Float[Tensor, "k 5 3"]:

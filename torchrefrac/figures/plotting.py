@@ -4,13 +4,44 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from torchrefrac.figures.panels import blank_figure
-
 ESTIMATE, MEASURED, TRUE, SECOND = "#0072b2", "#e69f00", "#009e73", "#d55e00"  # Okabe and Ito's
 GRID, TEXT, PALE = "#e4e6e8", "#444b52", "#b9d5e6"
 WIDTH = 9.0
 MOST_TICKS = 14
 UNKNOWN = "-"
+
+
+def blank_figure(width: float, height: float) -> Any:
+    """A figure of this size in inches, without global state and without a display."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=(width, height), dpi=150)
+    figure.set_layout_engine("constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def color_scale(low: float, high: float, colors: Any) -> Any:
+    """Maps values from low to high to the colours of a colour map."""
+    from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - slow to import
+    from matplotlib.colors import Normalize  # noqa: PLC0415
+
+    return ScalarMappable(Normalize(low, high), colors)
+
+
+def color_bar(figure: Any, colored: Any, panels: list[Any], label: str) -> None:
+    """Beside the panels, with what its numbers are."""
+    bar = figure.colorbar(colored, ax=panels, pad=0.01, aspect=30, fraction=0.15 / len(panels), extend="both")
+    bar.set_label(label, fontsize=10)
+    bar.ax.tick_params(labelsize=8)
+
+
+def legend_key(**style: Any) -> Any:
+    """A line or marker of a legend, with its `label`."""
+    from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
+
+    return Line2D([], [], **style)
 
 
 def panels(rows: int, columns: int, height: float, width: float = WIDTH, **how: Any) -> tuple[Any, Any]:

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
+from torchrefrac.figures.plotting import color_scale
 from torchrefrac.figures.side_views import INK
 from torchrefrac.scene.raster import Raster
 
@@ -26,15 +27,14 @@ def draw_raster(raster: Raster, path: Path) -> None:
     is the shore. A raster of many cells is drawn with every k-th of them.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
-    from matplotlib.cm import ScalarMappable  # noqa: PLC0415
-    from matplotlib.colors import Normalize, to_rgb  # noqa: PLC0415
+    from matplotlib.colors import to_rgb  # noqa: PLC0415
     from matplotlib.figure import Figure  # noqa: PLC0415
 
     rows, columns = raster.height.shape
     step = max(1, math.ceil(max(rows, columns) / MOST_PIXELS))
     depth, valid = raster.depth[::step, ::step].cpu(), raster.valid[::step, ::step].cpu()
     low, high, extend = _range(depth[valid])
-    colors = ScalarMappable(Normalize(low, high), cmap="viridis_r")
+    colors = color_scale(low, high, "viridis_r")
 
     size = raster.cell_size
     width, height = max(columns, 1) * size, max(rows, 1) * size

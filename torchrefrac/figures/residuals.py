@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.figures.plotting import ESTIMATE, PALE, SECOND, legend_above, number_images, panels
+from torchrefrac.figures.plotting import ESTIMATE, PALE, SECOND, legend_above, legend_key, number_images, panels
 from torchrefrac.scene import Scene
 
 BINS, FEWEST = 24, 20
@@ -41,8 +41,7 @@ class Residuals:
 
 def by_image_figure(residuals: Residuals, registered: Bool[Tensor, " m"]) -> Any:
     """Median and 90 % bound of the reprojection error of each image."""
-    from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
-    from matplotlib.patches import Patch  # noqa: PLC0415
+    from matplotlib.patches import Patch  # noqa: PLC0415 - slow to import
 
     count = len(registered)
     figure, grid = panels(1, 1, 2.7)
@@ -56,10 +55,10 @@ def by_image_figure(residuals: Residuals, registered: Bool[Tensor, " m"]) -> Any
     panel.vlines(numbers, medians, upper, color=SECOND, lw=1.4)
     panel.plot(numbers, upper, "_", color=SECOND, ms=9, mew=1.8)
     missing = [i + 1 for i in range(count) if not bool(registered[i])]
-    handles = [Patch(color=ESTIMATE, label="median"), Line2D([], [], color=SECOND, label="90 % are below")]
+    handles = [Patch(color=ESTIMATE, label="median"), legend_key(color=SECOND, label="90 % are below")]
     if missing:
         panel.plot(missing, [0.0] * len(missing), "x", color="#000000", ms=7, clip_on=False, zorder=5)
-        handles.append(Line2D([], [], marker="x", ls="", color="#000000", label="not placed"))
+        handles.append(legend_key(marker="x", ls="", color="#000000", label="not placed"))
     panel.grid(visible=False, axis="x")
     panel.set_ylabel("reprojection error (px)", fontsize=10)
     panel.set_ylim(bottom=0.0)
@@ -70,8 +69,6 @@ def by_image_figure(residuals: Residuals, registered: Bool[Tensor, " m"]) -> Any
 
 def by_incidence_figure(residuals: Residuals, has_water: bool) -> Any:
     """Median and 90 % bound of the reprojection error over the angle of incidence, and the number of observations."""
-    from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
-
     step, start, rows = bins(residuals.incidence)
     figure, grid = panels(2, 1, 4.0, sharex=True, height_ratios=(3.0, 1.0))
     errors, counts = grid[0][0], grid[1][0]
@@ -84,13 +81,8 @@ def by_incidence_figure(residuals: Residuals, has_water: bool) -> Any:
     counts.set_ylabel("observations", fontsize=10)
     what = "angle of incidence on the water" if has_water else "angle from the vertical"
     counts.set_xlabel(f"{what} (°)", fontsize=10)
-    legend_above(
-        figure,
-        [
-            Line2D([], [], marker="o", color=ESTIMATE, label="median"),
-            Line2D([], [], ls="--", color=SECOND, label="90 % are below"),
-        ],
-    )
+    median = legend_key(marker="o", color=ESTIMATE, label="median")
+    legend_above(figure, [median, legend_key(ls="--", color=SECOND, label="90 % are below")])
     return figure
 
 

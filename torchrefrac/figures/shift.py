@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchrefrac.figures.panels import EMPTY, blank_figure, color_bar
-from torchrefrac.figures.plotting import WIDTH
+from torchrefrac.figures.panels import EMPTY
+from torchrefrac.figures.plotting import WIDTH, blank_figure, color_bar, color_scale
 from torchrefrac.scene import Scene
 
 CELLS, ARROWS = 96, 9  # across the image
@@ -56,15 +56,12 @@ def shift_map(
 
 def shift_figure(scene: Scene, images: Sequence[int], depth: float, photographs: Sequence[Path]) -> Any:
     """A panel an image: lines of equal shift and arrows of its direction, over the photograph where it is at hand."""
-    from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - slow to import
-    from matplotlib.colors import Normalize  # noqa: PLC0415
-
     width, height = scene.intrinsics.width, scene.intrinsics.height
     maps = [shift_map(scene, image, depth) for image in images]
     sizes = [shift.norm(dim=-1).where(valid, torch.nan) for _, shift, valid in maps]
     every = torch.cat([size[size.isfinite()] for size in sizes])
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 1.0)
-    colored = ScalarMappable(Normalize(low, max(high, low + 1e-6)), "viridis")
+    colored = color_scale(low, max(high, low + 1e-6), "viridis")
     figure = blank_figure(WIDTH if len(images) > 1 else 6.8, 0.6 + 4.0 * height / width)
     grid = figure.subplots(1, len(images), squeeze=False)[0]
     for panel, image, (pixels, shift, valid), size in zip(grid, images, maps, sizes, strict=True):

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
+from torchrefrac.figures.plotting import blank_figure, color_scale, legend_key
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Scene, Truth
 
@@ -59,27 +60,20 @@ def side_views_figure(
     are about `panel_inches` wide; the true planes are drawn as lines. The direction of sight is the horizontal one
     along which the true planes look thinnest (without truth: along y).
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
-    from matplotlib.figure import Figure  # noqa: PLC0415
-    from matplotlib.lines import Line2D  # noqa: PLC0415
-
     across = side_direction(truth)
     low, high = _height_range(views, truth)
     limits = _limits(views, truth, across)
     width, height = (end - start for start, end in limits)
     lines = 0.2 * max(view.caption.count("\n") for view in views)
-    figure = Figure(figsize=(1.6 + panel_inches * len(views), 1.35 + lines + panel_inches * height / width), dpi=150)
-    figure.set_layout_engine("constrained")
-    FigureCanvasAgg(figure)
+    figure = blank_figure(1.6 + panel_inches * len(views), 1.35 + lines + panel_inches * height / width)
+    colored = color_scale(low, high, colors)
     panels = figure.subplots(1, len(views), sharex=True, sharey=True, squeeze=False)[0]
     for panel, view in zip(panels, views, strict=True):
         if truth is not None:
             _draw_planes(panel, truth, across)
         z = view.points[:, 2].numpy()
-        dots = panel.scatter(
-            (view.points[:, :2] @ across).numpy(), z, c=z, s=2.5, cmap=colors, vmin=low, vmax=high, linewidths=0,
-            zorder=3,
-        )  # fmt: skip
+        along = (view.points[:, :2] @ across).numpy()
+        panel.scatter(along, z, c=z, s=2.5, cmap=colored.cmap, norm=colored.norm, linewidths=0, zorder=3)
         panel.plot((view.centers[:, :2] @ across).numpy(), view.centers[:, 2].numpy(), "^", ms=5, mfc="none", mec=INK)
         if view.has_water:
             panel.axhline(0.0, color=WATER, lw=1.2)
@@ -89,14 +83,14 @@ def side_views_figure(
         panel.tick_params(labelsize=8)
     unit = views[0].length_unit
     panels[0].set_ylabel(f"height above the water ({unit})", fontsize=10)
-    bar = figure.colorbar(dots, ax=list(panels), pad=0.01, aspect=30)
+    bar = figure.colorbar(colored, ax=list(panels), pad=0.01, aspect=30)
     bar.set_label(f"height ({unit})", fontsize=10)
     bar.ax.tick_params(labelsize=8)
-    handles = [Line2D([], [], marker="^", ls="", mfc="none", mec=INK, label="cameras")]
+    handles = [legend_key(marker="^", ls="", mfc="none", mec=INK, label="cameras")]
     if any(view.has_water for view in views):
-        handles.append(Line2D([], [], color=WATER, label="water surface"))
+        handles.append(legend_key(color=WATER, label="water surface"))
     if truth is not None and len(truth.corner):
-        handles.append(Line2D([], [], color=FAINT, lw=3, label="true planes"))
+        handles.append(legend_key(color=FAINT, lw=3, label="true planes"))
     figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=9, frameon=False)
     return figure
 

@@ -7,8 +7,16 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchrefrac.figures.panels import blank_figure
-from torchrefrac.figures.plotting import ESTIMATE, SECOND, WIDTH, legend_above, number_images, plain_axes
+from torchrefrac.figures.plotting import (
+    ESTIMATE,
+    SECOND,
+    WIDTH,
+    blank_figure,
+    legend_above,
+    legend_key,
+    number_images,
+    plain_axes,
+)  # fmt: skip
 from torchrefrac.scene import Scene, Truth
 
 SHARE = 0.1  # of the extent of the cameras that a typical ellipse takes
@@ -37,8 +45,7 @@ def exaggeration(size: float, extent: float) -> float:
 def uncertainty_figure(shown: Scene, truth: Truth | None) -> tuple[Any, float]:
     """Ellipses of one standard deviation from above, and the standard deviation of the heights; and the factor by which
     the ellipses are exaggerated. Arrows are the true errors, by the same factor, where `truth` is given."""
-    from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
-    from matplotlib.patches import Ellipse, Patch  # noqa: PLC0415
+    from matplotlib.patches import Ellipse, Patch  # noqa: PLC0415 - slow to import
 
     covariance = shown.assessment.center_covariance
     if covariance is None:
@@ -69,7 +76,7 @@ def uncertainty_figure(shown: Scene, truth: Truth | None) -> tuple[Any, float]:
             angles="xy", scale_units="xy", scale=1.0, color=SECOND, width=0.005, zorder=4,
         )  # fmt: skip
         heights.plot(numbers, abs(errors[:, 2]), "D", color=SECOND, ms=5)
-        handles.append(Line2D([], [], marker="D", ls="", ms=5, color=SECOND, label="true error (arrows and diamonds)"))
+        handles.append(legend_key(marker="D", ls="", ms=5, color=SECOND, label="true error (arrows and diamonds)"))
     above.set_title(f"from above, errors {factor:g} times as large", fontsize=11)
     above.set_xlabel(f"x ({unit})", fontsize=10)
     above.set_ylabel(f"y ({unit})", fontsize=10)

@@ -38,7 +38,7 @@ class Drawn:
     alt: str
     caption: str
     look: str
-    kind: str = ""
+    kind: str = "wide"
 
 
 def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Drawn | None:
@@ -84,7 +84,6 @@ def draw_cameras(shown: Scene, truth: Truth | None) -> Drawn:
         "coloured by height. The first and the last photograph are numbered.",
         look="The path should be the one that was flown or walked, without jumps, and the pyramids should look at the "
         "points." + (" Crosses that lie beside a tip show how far a camera is off." if truth is not None else ""),
-        kind="wide",
     )
 
 
@@ -105,7 +104,6 @@ def draw_attitude(run: RunContents) -> Drawn | None:
         + (" Headings are compared after taking out their mean difference." if len(angles) > 2 else ""),
         look="Differences from the IMU should scatter about zero, as large as the IMU's own errors. A trend or an "
         "offset in roll or pitch says that the water was not level in the IMU's eyes, or the wrong model.",
-        kind="wide",
     )
 
 
@@ -120,7 +118,6 @@ def draw_residuals(residuals: Residuals, scene: Scene) -> list[Drawn]:
             alt="Median and ninety per cent bound of the reprojection error of each image",
             caption="Distance between where a point is seen and where the reconstruction puts it, in pixels.",
             look="All about equally low. One photograph that sticks out is blurred, moved, or placed wrongly.",
-            kind="wide",
         ),
         Drawn(
             title="Residuals by angle",
@@ -129,7 +126,6 @@ def draw_residuals(residuals: Residuals, scene: Scene) -> list[Drawn]:
             caption=f"The same over the {by_angle}, and how many observations there are at each.",
             look="A level line. An error that grows with the angle is the mark of refraction that the model does not "
             "have, or of a wrong index ratio.",
-            kind="wide",
         ),
     ]
 
@@ -169,7 +165,6 @@ def draw_uncertainty(shown: Scene, truth: Truth | None) -> Drawn | None:
         f"the cameras as a whole.{true}",
         look="Round ellipses of one size; a long one points in the direction that the photographs leave open."
         + (" True errors should mostly be no longer than two standard deviations." if truth is not None else ""),
-        kind="wide",
     )
 
 
@@ -181,5 +176,5 @@ def draw_dense(folder: Path) -> list[Drawn]:
             shown = picture(folder / name, DENSE_WIDTH)
         except OSError:
             continue
-        found.append(Drawn(title, shown, title, caption, look, "wide"))
+        found.append(Drawn(title, shown, title, caption, look))
     return found

@@ -84,9 +84,8 @@ class TensorBoardRecorder(SilentRecorder):
         shown = proto.Summary.Image(
             height=height, width=width, colorspace=channels, encoded_image_string=encoded.tobytes()
         )
-        self._writer._get_file_writer().add_summary(
-            proto.Summary(value=[proto.Summary.Value(tag=name, image=shown)]), step
-        )
+        written = proto.Summary(value=[proto.Summary.Value(tag=name, image=shown)])
+        self._writer._get_file_writer().add_summary(written, step)  # pyright: ignore[reportPrivateUsage]
 
     def cloud(self, name: str, points: Float[Tensor, "n 3"], colors: UInt8[Tensor, "n 3"], step: int) -> None:
         """Of a large cloud every n-th point alone."""
@@ -114,7 +113,7 @@ class TensorBoardRecorder(SilentRecorder):
         numbers = {name: float(value) for name, value in metrics.items() if is_number(value)}
         reached = {f"metrics/{name}": numbers[name] for name in sorted(numbers, key=_column)}
         experiment, start, end = hparams(chosen, reached)
-        writer = self._writer._get_file_writer()
+        writer = self._writer._get_file_writer()  # pyright: ignore[reportPrivateUsage]
         # TensorBoard takes the columns of the table from the first experiment that it finds.
         for summary in (experiment, start, end) if reached else (start, end):
             writer.add_summary(summary)

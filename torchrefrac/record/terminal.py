@@ -5,7 +5,7 @@ import textwrap
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import TextIO, TypeVar
+from typing import Any, TextIO, TypeVar
 
 from tqdm import tqdm
 
@@ -31,7 +31,7 @@ class TerminalRecorder(SilentRecorder):
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stderr
-        self._bars: list[tqdm] = []
+        self._bars: list[tqdm[Any]] = []
 
     def __enter__(self) -> "TerminalRecorder":
         return self
@@ -75,7 +75,7 @@ class TerminalRecorder(SilentRecorder):
             yield show
 
     @contextmanager
-    def _bar(self, layout: str, total: int, description: str, unit: str) -> Iterator[tqdm]:
+    def _bar(self, layout: str, total: int, description: str, unit: str) -> "Iterator[tqdm[Any]]":
         """A bar that stays where it is when it ends, unless it stands below another one."""
         bar = tqdm(
             total=total, desc=f"{description:<12}", unit=unit, ncols=WIDTH, file=self._stream, bar_format=layout,

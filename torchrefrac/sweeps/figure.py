@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from torchrefrac.atomic import replacing
-from torchrefrac.figures.panels import blank_figure
+from torchrefrac.figures.plotting import blank_figure
 from torchrefrac.figures.side_views import INK
 from torchrefrac.files.run import RunRecord
 from torchrefrac.sweeps.axes import set_heights, set_places

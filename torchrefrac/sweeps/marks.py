@@ -3,13 +3,15 @@
 from collections.abc import Sequence
 from typing import Any
 
+from torchrefrac.figures.plotting import legend_key
 from torchrefrac.figures.side_views import INK
 from torchrefrac.files.run import RunRecord
 from torchrefrac.sweeps.design import Design, value_of
 from torchrefrac.sweeps.lines import Line, Spot, is_partial
 
 SCENE_RATIO = "scene.index_ratio"
-TRUE_STYLE, AIR_STYLE = {"color": "#777777", "lw": 1.2, "ls": "--"}, {"color": "#777777", "lw": 1.2, "ls": ":"}
+TRUE_STYLE: dict[str, Any] = {"color": "#777777", "lw": 1.2, "ls": "--"}
+AIR_STYLE = TRUE_STYLE | {"ls": ":"}
 FEWEST = 3  # spots of a line of which the smallest is worth a mark
 
 
@@ -77,26 +79,21 @@ def draw_true_ratio(panel: Any, jobs: Sequence[RunRecord], design: Design) -> No
 
 def legend_handles(jobs: Sequence[RunRecord], design: Design, lines: Sequence[Line]) -> list[Any]:
     """What the figure's marks mean; lines only where the axis does not name them."""
-    from matplotlib.lines import Line2D  # noqa: PLC0415 - slow to import
-
     complete = [job for job in jobs if job.is_complete]
     handles = []
     if design.x is not None:
-        handles = [
-            Line2D([], [], color=line.color, ls=line.dash, marker=line.marker, ms=5.5, label=line.label)
-            for line in lines
-        ]
+        handles = [legend_key(color=x.color, ls=x.dash, marker=x.marker, ms=5.5, label=x.label) for x in lines]
     if design.averaged:
-        handles.append(Line2D([], [], color=INK, alpha=0.25, lw=7, label="mean, range of seeds"))
+        handles.append(legend_key(color=INK, alpha=0.25, lw=7, label="mean, range of seeds"))
     if assumes_ratio(design):
         if any(job.number("true_index_ratio") is not None for job in complete):
-            handles.append(Line2D([], [], label="true index ratio", **TRUE_STYLE))
-        handles.append(Line2D([], [], ls="", marker="o", ms=10, mfc="none", mec=INK, label="smallest of its line"))
+            handles.append(legend_key(label="true index ratio", **TRUE_STYLE))
+        handles.append(legend_key(ls="", marker="o", ms=10, mfc="none", mec=INK, label="smallest of its line"))
     elif has_air(complete, design):
-        handles.append(Line2D([], [], label="index ratio 1: all agree", **AIR_STYLE))
+        handles.append(legend_key(label="index ratio 1: all agree", **AIR_STYLE))
     if any(is_partial(job) for job in complete):
-        handles.append(Line2D([], [], ls="", marker="o", mfc="white", mec=INK, label="not all images registered"))
+        handles.append(legend_key(ls="", marker="o", mfc="white", mec=INK, label="not all images registered"))
     if len(complete) < len(jobs):
         label = f"failed: {len(jobs) - len(complete)} of {len(jobs)} jobs"
-        handles.append(Line2D([], [], ls="", marker="x", ms=6, mew=1.6, color=INK, label=label))
+        handles.append(legend_key(ls="", marker="x", ms=6, mew=1.6, color=INK, label=label))
     return handles

@@ -12,8 +12,10 @@ from torchrefrac.sweeps.figure import draw_sweep
 from torchrefrac.sweeps.pictured import FIGURES, shown_together
 from torchrefrac.sweeps.table import csv_text, results_table
 
-LINKS = {"summary.png": "errors over what was varied", "report.html": "all jobs on one page"}
-LINKS |= {"summary.csv": "every number of every job", "table1.md": "the paper's Table 1"}
+LINKS = {
+    "summary.png": "errors over what was varied", "report.html": "all jobs on one page",
+    "summary.csv": "every number of every job", "table1.md": "the paper's Table 1",
+}  # fmt: skip
 
 
 class Summary(NamedTuple):
