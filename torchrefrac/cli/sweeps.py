@@ -1,4 +1,4 @@
-"""What is said and written while a sweep runs, and when it has ended."""
+"""What is printed and written while a sweep runs, and when it has ended."""
 
 import os
 import sys
@@ -40,7 +40,7 @@ class CompareRuns(Callback):
             print(f"\n{opening(*place)}", file=sys.stderr)
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
-        """Keep why a job failed, and tell it."""
+        """Record why a job failed, and print it."""
         if config.hydra.mode is not RunMode.MULTIRUN:
             return
         folder = Path(config.hydra.runtime.output_dir)
@@ -54,7 +54,7 @@ class CompareRuns(Callback):
             print(ending(*place, outcome(place[2], folder.parent)), flush=True)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Tell what failed, write and print the comparison, and say how to go on."""
+        """Print what failed, write and print the comparison, and print how to go on."""
         folder = Path(config.hydra.sweep.dir)
         jobs, ends = jobs_and_ends(folder)
         rest = sum(end.status != "complete" for end in ends)
