@@ -44,7 +44,7 @@ def make_pair(make_basin, draw):
 def test_verticals_are_found_within_a_degree_and_as_well_as_their_sigma_says(make_pair):
     near, normalised = [], []
     for _ in range(20):
-        pair = make_pair()
+        pair = make_pair(points=1000, outliers=300)
         found = pair.solve()
         assert found.status == "success"
         off = pair.off(found)

@@ -1,4 +1,4 @@
-"""What is said on the command line, as Hydra should hear it."""
+"""The arguments of the command line, as Hydra needs them."""
 
 from collections.abc import Sequence
 
@@ -39,7 +39,7 @@ def _left_to_the_jobs(argument: str) -> str:
     try:
         (override,) = OverridesParser.create().parse_overrides([argument])
     except OverrideParseException:
-        return argument  # Hydra says what is wrong with it
+        return argument  # Hydra names what is wrong with it
     return argument if _is_of_jobs(override) else f"{override.get_key_element()}=choice({_value(argument)})"
 
 

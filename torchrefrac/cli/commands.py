@@ -59,7 +59,7 @@ def is_watched(settings: Any) -> bool:
 
 
 def reconstruct_into(folder: Path, options: RunOptions, settings: Any) -> None:
-    """One run, told on the terminal where it is watched."""
+    """One run, reported on the terminal where it is watched."""
     quiet = options.output.quiet or not is_watched(settings)
     overrides = by_name(settings.overrides.task)
     with _recorders(folder, quiet) as recorder:
@@ -105,7 +105,7 @@ def adjust(config: DictConfig) -> None:
 
 def _adjust(options: AdjustOptions, config: DictConfig, folder: Path) -> None:
     if not options.quiet:
-        print(f"{options.alignment}: adjusting anew, into {os.path.relpath(folder)}", file=sys.stderr)
+        print(f"{options.alignment}: adjusting again, into {os.path.relpath(folder)}", file=sys.stderr)
     _save(config, folder / ".hydra" / "config.yaml")
     with _recorders(folder, options.quiet) as recorder:
         metrics = adjust_run(options, recorder, folder)
@@ -145,7 +145,7 @@ def _recorders(folder: Path, quiet: bool, append: bool = False) -> Iterator[RunR
 
 @contextmanager
 def _may_fail(folder: Path | None = None) -> Iterator[None]:
-    """Errors for the user are told, and make the exit status 1."""
+    """Errors for the user are printed, and make the exit status 1."""
     try:
         yield
     except EXPECTED as error:
@@ -153,16 +153,16 @@ def _may_fail(folder: Path | None = None) -> Iterator[None]:
 
 
 def _compared(options: RunOptions, capture: Capture, overrides: dict[str, str]) -> dict[str, Any]:
-    """What TensorBoard's table of runs compares: the same of all runs, and what was said of this one."""
+    """What TensorBoard's table of runs compares: the same of all runs, and the overrides of this one."""
     chosen = options.reconstruction
-    told = {
+    common = {
         "scene": options.scene.label,
         "model": chosen.model.name,
         "water.index_ratio": chosen.water.ratio_of(capture.index_ratio),
         "dense": chosen.dense.method,
         "seed": chosen.seed,
     }
-    return told | {name: _number(value) for name, value in overrides.items() if name not in told}
+    return common | {name: _number(value) for name, value in overrides.items() if name not in common}
 
 
 def _number(text: str) -> float | str:

@@ -19,7 +19,7 @@ REQUIRED = "???"
 
 @dataclass(frozen=True)
 class Option:
-    """Its dotted name, its default as it is written in the file, and what the file's comment says of it."""
+    """Its dotted name, its default as it is written in the file, and its comment."""
 
     name: str
     default: str
@@ -28,7 +28,7 @@ class Option:
 
 @dataclass(frozen=True)
 class Group:
-    """A folder of files of which one is chosen: its name, the choice, and what each file's first comment says."""
+    """A folder of files of which one is chosen: its name, the choice, and each file's first comment."""
 
     name: str
     choice: str | None
@@ -69,7 +69,7 @@ def read_group(name: str, choice: str | None) -> Group:
 
 
 def read_header(file: Path) -> str:
-    """What a command's file says of the command itself."""
+    """The text of a command's file about the command itself."""
     return yaml.load(file.read_text(encoding="utf-8"), _Loader)["hydra"]["help"]["header"]
 
 
@@ -96,7 +96,7 @@ def _while_comment(lines: list[str]) -> Iterator[str]:
 
 
 def _defaults(root: yaml.MappingNode) -> list[tuple[str, str | None]]:
-    """(group, choice) of the defaults list, without what it says of Hydra itself; a file beside it has no group."""
+    """(group, choice) of the defaults list, without overrides of Hydra itself; a file beside it has no group."""
     found: list[tuple[str, str | None]] = []
     for key, value in root.value:
         if key.value == "defaults":

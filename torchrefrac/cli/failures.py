@@ -1,4 +1,4 @@
-"""Errors that are said in one sentence, and what is kept of them."""
+"""Errors are one sentence on the terminal, and in the folder of the run."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""What is said and written while a sweep runs, and when it has ended."""
+"""What is printed and written while a sweep runs, and when it has ended."""
 
 import os
 import sys
@@ -41,7 +41,7 @@ class CompareRuns(Callback):
             print(f"\n{opening(*place)}", file=sys.stderr)
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
-        """Keep why a job failed, and tell it."""
+        """Record why a job failed, and print it."""
         if config.hydra.mode is not RunMode.MULTIRUN:
             return
         folder = Path(config.hydra.runtime.output_dir)
@@ -55,7 +55,7 @@ class CompareRuns(Callback):
             print(ending(*place, record_of(place[2], folder.parent)), flush=True)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Tell what failed, write and print the comparison, and say how to go on."""
+        """Print what failed, write and print the comparison, and print how to go on."""
         folder = Path(config.hydra.sweep.dir)
         jobs, records = jobs_and_records(folder)
         rest = sum(not record.is_complete for record in records)
