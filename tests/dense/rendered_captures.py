@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -88,3 +89,8 @@ def sparse_scene(rendered: Rendered, every: int = EVERY) -> Scene:
         names=[f"{i}.png" for i in range(len(rendered.images))],
         length_unit="cm",
     )
+
+
+def photographed_scene(rendered: Rendered, folder: Path) -> Scene:
+    """`sparse_scene` with its photographs, which are written under `folder`."""
+    return replace(sparse_scene(rendered), capture=write_capture(rendered, folder))

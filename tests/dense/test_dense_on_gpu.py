@@ -21,8 +21,8 @@ def test_the_surface_is_that_of_the_cpu(tmp_path, method):
     capture, sparse = write_capture(rendered, tmp_path), sparse_scene(rendered)
     options = DenseOptions(method=method)
 
-    here = densify(capture, sparse, options).cloud
-    there = densify(capture, sparse, replace(options, device="cuda")).cloud
+    here = densify(replace(sparse, capture=capture), options).cloud
+    there = densify(replace(sparse, capture=capture), replace(options, device="cuda")).cloud
 
     assert not there.points.is_cuda
     assert abs(len(there) - len(here)) < 0.02 * len(here)

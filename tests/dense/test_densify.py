@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.dense.rendered_captures import sparse_scene, write_capture, write_mask
+from tests.dense.rendered_captures import photographed_scene, sparse_scene, write_capture, write_mask
 from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.dense import DenseError, DenseOptions, densify, depth_maps
 from torchrefrac.scene import Cameras, CaptureError, Interfaces
@@ -33,7 +33,7 @@ def finished(request, slope, tmp_path_factory):
     """The slope's capture, sparse scene, options and dense reconstruction."""
     capture = write_capture(slope, tmp_path_factory.mktemp("slope"))
     scene, options = sparse_scene(slope), OPTIONS[request.param]
-    return capture, scene, options, densify(scene, capture, options)
+    return capture, scene, options, densify(replace(scene, capture=capture), options)
 
 
 def _heights(points):
@@ -133,7 +133,7 @@ def test_masked_ground_stays_empty(slope, tmp_path, method):
     for image, name in enumerate(capture.names):
         write_mask(capture, name, ~hidden[image])
 
-    points = densify(scene, capture, OPTIONS[method]).cloud.points
+    points = densify(replace(scene, capture=capture), OPTIONS[method]).cloud.points
 
     inside = points[:, :2].abs().amax(dim=-1)
     assert not (inside < 6.0 - FOOTPRINT).any()
@@ -146,7 +146,7 @@ def test_ground_without_texture_stays_empty(tmp_path, method):
     paint = marble()
     photographs = _photographs(texture=lambda points: np.where(points[..., 0] < 0.0, paint(points), 128.0))
 
-    points = densify(sparse_scene(photographs), write_capture(photographs, tmp_path), OPTIONS[method]).cloud.points
+    points = densify(photographed_scene(photographs, tmp_path), OPTIONS[method]).cloud.points
 
     assert (points[:, 0] < 0.0).sum() > 400
     assert not (points[:, 0] > 6.0 * FOOTPRINT).any()
@@ -157,7 +157,7 @@ def test_ground_without_texture_stays_empty(tmp_path, method):
 def test_a_flat_bottom_is_found_however_narrow_its_range_of_distances(tmp_path, method):
     photographs = _photographs(board=Board((0.0, 0.0, -40.0)))
 
-    points = densify(sparse_scene(photographs), write_capture(photographs, tmp_path), OPTIONS[method]).cloud.points
+    points = densify(photographed_scene(photographs, tmp_path), OPTIONS[method]).cloud.points
 
     assert _found(photographs, points)[_seen_by_all(photographs)].double().mean() > 0.97
     assert (points[:, 2] + 40.0).abs().median() < 0.1 * FOOTPRINT
@@ -167,7 +167,7 @@ def test_a_flat_bottom_is_found_however_narrow_its_range_of_distances(tmp_path, 
 def test_two_images_are_enough(tmp_path, method):
     photographs = _photographs(2)
 
-    dense = densify(sparse_scene(photographs), write_capture(photographs, tmp_path), OPTIONS[method])
+    dense = densify(photographed_scene(photographs, tmp_path), OPTIONS[method])
 
     assert _found(photographs, dense.cloud.points)[_seen_by_all(photographs)].double().mean() > 0.97
     assert _heights(dense.cloud.points).abs().median() < 0.1 * FOOTPRINT
@@ -180,7 +180,9 @@ def test_without_refraction_in_the_model_the_bottom_is_not_where_it_is(slope, tm
     dry = replace(slope, cameras=slope.cameras.as_pinhole())
     scene = sparse_scene(dry)
 
-    points = densify(scene, write_capture(slope, tmp_path), replace(OPTIONS[method], cell=6)).cloud.points
+    points = densify(
+        replace(scene, capture=write_capture(slope, tmp_path)), replace(OPTIONS[method], cell=6)
+    ).cloud.points
 
     assert not len(points) or _heights(points).abs().median() > 3.0 * FOOTPRINT
 
@@ -190,7 +192,7 @@ def test_an_image_without_a_pose_takes_no_part(slope, tmp_path):
     known, views = scene.observations.view != 1, replace(scene.views, registered=torch.tensor([True, False, True]))
     scene = replace(scene, views=views, observations=scene.observations[known], accepted=scene.accepted[known])
 
-    dense = densify(scene, capture, OPTIONS["patch"])
+    dense = densify(replace(scene, capture=capture), OPTIONS["patch"])
 
     assert len(dense.cloud) > 800
     assert not (dense.patches.reference == 1).any()
@@ -203,7 +205,7 @@ def test_without_sparse_points_it_says_that_they_are_missing(slope, tmp_path):
     bare = replace(scene, accepted=torch.zeros_like(scene.accepted)).trimmed()
 
     with pytest.raises(DenseError, match="no sparse points, which say where to look; run the sparse"):
-        densify(bare, write_capture(slope, tmp_path), OPTIONS["patch"])
+        densify(replace(bare, capture=write_capture(slope, tmp_path)), OPTIONS["patch"])
 
 
 @pytest.mark.parametrize("several", ["cameras", "interfaces"])
@@ -216,7 +218,7 @@ def test_a_scene_with_several_cameras_or_interfaces_is_refused(slope, tmp_path, 
     counts = "2 cameras and 1 interfaces" if several == "cameras" else "1 cameras and 2 interfaces"
 
     with pytest.raises(DenseError, match=f"the scene has {counts}, but must have one of each"):
-        densify(replace(scene, **{several: other[several]}), write_capture(slope, tmp_path))
+        densify(replace(replace(scene, **{several: other[several]}), capture=write_capture(slope, tmp_path)))
 
 
 def test_identical_views_are_refused(slope, tmp_path):
@@ -224,7 +226,7 @@ def test_identical_views_are_refused(slope, tmp_path):
     still = replace(slope, cameras=slope.cameras[same], images=slope.images[same], points=slope.points[same])
 
     with pytest.raises(DenseError, match="no two of 3 registered images see common points at an angle"):
-        densify(sparse_scene(still), write_capture(still, tmp_path), OPTIONS["patch"])
+        densify(photographed_scene(still, tmp_path), OPTIONS["patch"])
 
 
 def test_a_photograph_that_is_gone_is_named(slope, tmp_path):
@@ -232,9 +234,9 @@ def test_a_photograph_that_is_gone_is_named(slope, tmp_path):
     capture.paths[2].unlink()
 
     with pytest.raises(CaptureError, match=re.escape(str(capture.paths[2]))):
-        densify(sparse_scene(slope), capture, OPTIONS["patch"])
+        densify(replace(sparse_scene(slope), capture=capture), OPTIONS["patch"])
 
 
 def test_the_method_that_leaves_it_at_sparse_points_is_refused(slope, tmp_path):
     with pytest.raises(ValueError, match="method is 'none', but must be 'patch' or 'depthmap'"):
-        densify(sparse_scene(slope), write_capture(slope, tmp_path), DenseOptions(method="none"))
+        densify(photographed_scene(slope, tmp_path), DenseOptions(method="none"))

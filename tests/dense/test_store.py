@@ -30,8 +30,8 @@ def capture(pond, tmp_path):
 
 
 @pytest.fixture
-def scene(pond):
-    return sparse_scene(pond)
+def scene(pond, capture):
+    return replace(sparse_scene(pond), capture=capture)
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def open_store(tmp_path, capture, scene):
     """`open_store()`: the same folder again, by default for the same work."""
 
     def make(**other):
-        made_from = {"scene": scene, "capture": capture, "options": OPTIONS} | other
+        made_from = {"scene": scene, "options": OPTIONS} | other
         return FolderStore(tmp_path / "parts", **made_from)
 
     return make
@@ -118,7 +118,7 @@ def test_a_new_mask_clears_the_folder(open_store, patches, capture):
 def test_the_fingerprint_is_the_same_for_the_same_work(capture, scene):
     again = replace(scene, points=scene.points.clone())
 
-    assert fingerprint(scene, capture, OPTIONS) == fingerprint(again, capture, replace(OPTIONS))
+    assert fingerprint(scene, OPTIONS) == fingerprint(again, replace(OPTIONS))
 
 
 def test_clearing_removes_its_own_files_only(open_store, patches):
@@ -167,12 +167,12 @@ class _Interrupting:
 @pytest.mark.parametrize("method", ["patch", "depthmap"])
 def test_an_interrupted_run_ends_as_one_that_was_not(open_store, capture, scene, method):
     options = replace(OPTIONS, method=method)
-    whole = densify(scene, capture, options)
+    whole = densify(replace(scene, capture=capture), options)
 
     with pytest.raises(PowerError):
-        densify(scene, capture, options, store=_Interrupting(open_store(options=options)))
+        densify(replace(scene, capture=capture), options, store=_Interrupting(open_store(options=options)))
     kept = [image for image in (0, 1) if open_store(options=options).load(image) is not None]
-    resumed = densify(scene, capture, options, store=open_store(options=options))
+    resumed = densify(replace(scene, capture=capture), options, store=open_store(options=options))
 
     assert len(kept) == 1
     assert len(whole.patches) > 300
@@ -188,7 +188,7 @@ def test_finished_images_are_not_looked_at_again(open_store, capture, scene, pat
     for image, part in planted.items():
         open_store().save(image, part)
 
-    found = densify(scene, capture, OPTIONS, store=open_store()).patches
+    found = densify(replace(scene, capture=capture), OPTIONS, store=open_store()).patches
 
     assert len(found) > 0.99 * len(patches)
     assert set(found.pixels[:, 0].tolist()) <= set(patches.pixels[:, 0].tolist())

@@ -136,7 +136,7 @@ def test_tiles_give_the_surface_that_the_whole_image_gives_and_no_cell_twice(sho
 
     recorders = CountingRecorder(), CountingRecorder()
     whole, tiled = (
-        densify(scene, capture, replace(OPTIONS, method=method, max_tile=size), recorder).patches
+        densify(replace(scene, capture=capture), replace(OPTIONS, method=method, max_tile=size), recorder).patches
         for size, recorder in zip((160, 90), recorders, strict=True)
     )
 

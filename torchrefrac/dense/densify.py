@@ -8,13 +8,13 @@ from torchrefrac.dense.depth_maps import depth_map
 from torchrefrac.dense.filling import METHODS, fill_views
 from torchrefrac.dense.filtering import supported, unobstructing
 from torchrefrac.dense.fusion import fuse
-from torchrefrac.dense.images import Images
+from torchrefrac.dense.images import Images, photographs
 from torchrefrac.dense.neighbours import find_neighbours
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.store import NoStore, Store
 from torchrefrac.recorder import Recorder, SilentRecorder
-from torchrefrac.scene import Capture, DenseCloud, DepthMap, Scene
+from torchrefrac.scene import DenseCloud, DepthMap, Scene
 
 
 class DenseError(TorchrefracError, RuntimeError):
@@ -30,14 +30,14 @@ class Dense(NamedTuple):
 
 def densify(
     scene: Scene,
-    capture: Capture,
     options: DenseOptions | None = None,
     recorder: Recorder | None = None,
     store: Store | None = None,
 ) -> Dense:
-    """Dense points of the surfaces that the registered views show, whose photographs are those of `capture`.
+    """Dense points of the surfaces that the registered views show.
 
-    The scene must have its points and observations: they say where to look. Textureless areas stay empty.
+    The scene must have its points and observations, which say where to look, and its `capture`, the photographs.
+    Textureless areas stay empty.
     Deterministic. Finished views go to `store`. Raises DenseError when no two views can be compared, or there are
     several cameras or interfaces, CaptureError for an image or a mask that is missing or has another size, ValueError
     for the method none.
@@ -47,7 +47,7 @@ def densify(
         raise ValueError(f"method is {options.method!r}, but must be {' or '.join(map(repr, METHODS))}")
     if (kinds := (len(scene.cameras), len(scene.interfaces))) != (1, 1):
         raise DenseError("the scene has {} cameras and {} interfaces, but must have one of each".format(*kinds))
-    recorder, images, cameras = recorder or SilentRecorder(), Images(capture), scene.camera_of()
+    recorder, images, cameras = recorder or SilentRecorder(), Images(photographs(scene)), scene.camera_of()
     images.check()
     neighbourhoods = find_neighbours(scene, options)
     if not neighbourhoods:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchrefrac.dense.matching.interest_points import InterestPoints, detect_interest_points
 from torchrefrac.files.capture import read_color, read_grey
-from torchrefrac.scene import Capture, CaptureError
+from torchrefrac.scene import Capture, CaptureError, Scene
 
 MASKS = "masks"
 PART, BESIDE = 2048, 32  # pixels across of what is searched for interest points at once, and that it looks beyond
@@ -84,6 +84,15 @@ class Images:
             found, wanted = (f"{width}x{height}" for height, width in (picture.shape, self.size))
             raise CaptureError(f"{path} is {found}, but the images are {wanted}; give it their size")
         return picture
+
+
+def photographs(scene: Scene) -> Capture:
+    """Those of the views, in their order. Raises CaptureError where the scene has none, or others."""
+    if scene.capture is None:
+        raise CaptureError("the scene has no photographs; give its capture as replace(scene, capture=...)")
+    if scene.capture.names != scene.views.names:
+        raise CaptureError("the photographs of the scene's capture are not those of its views, in the same order")
+    return scene.capture
 
 
 def _mask_path(capture: Capture, name: str) -> Path | None:

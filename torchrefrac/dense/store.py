@@ -10,10 +10,10 @@ import numpy as np
 import torch
 
 from torchrefrac.atomic import replacing
-from torchrefrac.dense.images import MASKS
+from torchrefrac.dense.images import MASKS, photographs
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
-from torchrefrac.scene import Capture, Scene
+from torchrefrac.scene import Scene
 
 
 class Store(Protocol):
@@ -36,9 +36,9 @@ class NoStore:
 class FolderStore:
     """Stores them in a folder, one file a view, with what they were made from; others that lie there are removed."""
 
-    def __init__(self, folder: Path, scene: Scene, capture: Capture, options: DenseOptions) -> None:
+    def __init__(self, folder: Path, scene: Scene, options: DenseOptions) -> None:
         self.folder = folder
-        made_from = fingerprint(scene, capture, options)
+        made_from = fingerprint(scene, options)
         label = folder / "made_from.txt"
         if not label.is_file() or label.read_text(encoding="ascii") != made_from:
             self.clear()
@@ -68,10 +68,11 @@ class FolderStore:
         return self.folder / f"patches_{image:05d}.npz"
 
 
-def fingerprint(scene: Scene, capture: Capture, options: DenseOptions) -> str:
+def fingerprint(scene: Scene, options: DenseOptions) -> str:
     """A hash of all that decides the patches: poses, intrinsics, water, points, options, image files and masks."""
     digest = hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode())
     views, cameras, interfaces, seen = scene.views, scene.cameras, scene.interfaces, scene.observations
+    capture = photographs(scene)
     for tensor in (
         *(views.registered, views.rotation, views.center, scene.points, seen.view, seen.point, seen.pixels),
         *(cameras.focal, cameras.principal_point, cameras.distortion),
