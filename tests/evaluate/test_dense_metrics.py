@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from torchrefrac.evaluate.dense_metrics import evaluate_dense, signed_plane_distance, textured_points
+from torchrefrac.evaluate.dense_metrics import evaluate_dense, signed_plane_distance
+from torchrefrac.evaluate.textured import textured_points
 from torchrefrac.files.truth import load_truth
 from torchrefrac.files.truth_points import load_truth_points
 from torchrefrac.geometry import Similarity, so3_exp

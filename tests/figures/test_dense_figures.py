@@ -7,7 +7,9 @@ import torch
 
 from torchrefrac.evaluate.dense_metrics import evaluate_dense
 from torchrefrac.figures import dense as dense_figures
-from torchrefrac.figures.dense import ErrorPanel, draw_dense_views, draw_depth_map, draw_error_map, error_panel
+from torchrefrac.figures.dense import draw_dense_views
+from torchrefrac.figures.depth_map import draw_depth_map
+from torchrefrac.figures.error_map import ErrorPanel, draw_error_map, error_panel
 from torchrefrac.figures.side_views import SideView
 from torchrefrac.files.library import embedded_scene
 from torchrefrac.files.truth import load_truth

@@ -7,7 +7,7 @@ from pathlib import Path
 from torchrefrac.config.outputs import DenseOutputs
 from torchrefrac.dense import Dense, DenseError, DenseOptions, depth_maps
 from torchrefrac.dense.rasterize import rasterize
-from torchrefrac.figures.dense import draw_depth_map
+from torchrefrac.figures.depth_map import draw_depth_map
 from torchrefrac.figures.raster import draw_raster
 from torchrefrac.files.dense import write_dense, write_depth_map
 from torchrefrac.files.mesh import height_field_mesh, write_mesh

@@ -16,7 +16,8 @@ from torchrefrac.dense import DenseError, DenseOptions, FolderStore, densify
 from torchrefrac.dense.patches import Patches
 from torchrefrac.evaluate.dense_metrics import evaluate_dense, summarize_dense, textured_points
 from torchrefrac.evaluate.metrics import evaluate
-from torchrefrac.figures.dense import dense_view, draw_dense_views, draw_error_map, error_panel
+from torchrefrac.figures.dense import dense_view, draw_dense_views
+from torchrefrac.figures.error_map import draw_error_map, error_panel
 from torchrefrac.files.capture import load_capture, read_grey
 from torchrefrac.files.run import DENSE_VIEW, DEPTH_MAPS, ERROR_MAP, PARTS
 from torchrefrac.files.tracks import CAMERAS, read_run
