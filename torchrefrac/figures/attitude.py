@@ -19,6 +19,7 @@ from torchrefrac.figures.plotting import (
     panels,
     rounded,
 )
+from torchrefrac.figures.side_views import true_of
 from torchrefrac.geometry import split_heading
 from torchrefrac.scene import Capture, Reconstruction, Truth
 
@@ -59,7 +60,8 @@ def attitudes(
         if capture.has_heading:
             sensed_heading = capture.heading[images].rad2deg()
     if truth is not None:
-        true_down, turn = split_heading(_true_rotations(scene, truth, images))
+        names = [scene.names[i] for i in images.tolist()]
+        true_down, turn = split_heading(true_of(truth.rotation, truth, names))
         true_heading = turn.rad2deg()
     angles = [
         Angle(name, _dip(down, axis), *(None if d is None else _dip(d, axis) for d in (sensed_down, true_down)))
@@ -126,15 +128,6 @@ def _rms(values: Float[Tensor, " n"]) -> float:
 
 def _dip(down: Float[Tensor, "k 3"], axis: int) -> Float[Tensor, " k"]:
     return down[:, axis].clamp(-1.0, 1.0).asin().rad2deg()
-
-
-def _true_rotations(scene: Reconstruction, truth: Truth, images: Int[Tensor, " k"]) -> Float[Tensor, "k 3 3"]:
-    """cam_from_world; NaN where the truth does not have the image."""
-    rotation = torch.full((len(images), 3, 3), torch.nan, dtype=torch.float64)
-    for row, i in enumerate(images.tolist()):
-        if scene.names[i] in truth.names:
-            rotation[row] = truth.rotation[truth.names.index(scene.names[i])]
-    return rotation
 
 
 def _turned_to(estimated: Float[Tensor, " k"], reference: Float[Tensor, " k"] | None) -> Float[Tensor, " k"] | None:

@@ -123,6 +123,15 @@ def corners_of(truth: Truth) -> Float[Tensor, "k 4 3"]:
     return torch.stack((a, a + b, a + b + c, a + c), dim=1)
 
 
+def true_of(values: Float[Tensor, "m *row"], truth: Truth, names: Sequence[str]) -> Float[Tensor, "k *row"]:
+    """The rows of the images `names` in values of the truth's images; NaN where the truth lacks an image."""
+    found = values.new_full((len(names), *values.shape[1:]), torch.nan)
+    for row, name in enumerate(names):
+        if name in truth.names:
+            found[row] = values[truth.names.index(name)]
+    return found
+
+
 def _draw_planes(panel: Any, truth: Truth, across: Float[Tensor, " 2"]) -> None:
     for corners in corners_of(truth):
         closed = torch.cat((corners, corners[:1]))
