@@ -104,13 +104,13 @@ def attitude_figure(images: Int[Tensor, " k"], angles: Sequence[Angle], count: i
 
 def attitude_words(angles: Sequence[Angle]) -> str:
     """RMS of the differences, in one sentence."""
-    told = []
+    parts = []
     for name, pick in (("the IMU", "measured"), ("the truth", "true")):
         errors = [(a.name, a.error(getattr(a, pick))) for a in angles]
         known = [f"{n} {rounded(_rms(e))}°" for n, e in errors if e is not None and bool(e.isfinite().any())]
         if known:
-            told.append(f"against {name} {', '.join(known)}")
-    return f"RMS differences {'; '.join(told)}." if told else ""
+            parts.append(f"against {name} {', '.join(known)}")
+    return f"RMS differences {'; '.join(parts)}." if parts else ""
 
 
 def wrapped(degrees: Float[Tensor, " n"]) -> Float[Tensor, " n"]:

@@ -15,7 +15,7 @@ from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Reconstruction, Truth
 
 TITLES = {"none": "No refraction", "radial": "Radial distortion", "refractive": "Refraction"}
-MODEL_COLORS = {"none": "#d55e00", "radial": "#009e73", "refractive": "#0072b2"}  # told apart by the colour-blind too
+MODEL_COLORS = {"none": "#d55e00", "radial": "#009e73", "refractive": "#0072b2"}  # different for the colour-blind too
 WATER, INK, FAINT = "#2b7bba", "#222222", "#c4c4c4"
 PANEL_INCHES = 4.4
 

@@ -92,7 +92,7 @@ def _draw_dense(
 
 def _titles(jobs: Sequence[RunRecord]) -> list[str]:
     """Model, with the dense method where there are several, and with the run folder where that is not unique."""
-    return _told_apart(_names(jobs), jobs)
+    return _distinct(_names(jobs), jobs)
 
 
 def _labels(jobs: Sequence[RunRecord]) -> list[str]:
@@ -100,7 +100,7 @@ def _labels(jobs: Sequence[RunRecord]) -> list[str]:
     labels = _names(jobs)
     if len(scenes_of(job for job in jobs if job.is_complete)) > 1:
         labels = [f"{job.scene or '?'}: {label}" for job, label in zip(jobs, labels, strict=True)]
-    return _told_apart(labels, jobs)
+    return _distinct(labels, jobs)
 
 
 def _names(jobs: Sequence[RunRecord]) -> list[str]:
@@ -111,7 +111,7 @@ def _names(jobs: Sequence[RunRecord]) -> list[str]:
     return [name + (f", {method}" if method else "") for method, name in zip(methods, names, strict=True)]
 
 
-def _told_apart(words: list[str], jobs: Sequence[RunRecord]) -> list[str]:
+def _distinct(words: list[str], jobs: Sequence[RunRecord]) -> list[str]:
     if len(set(words)) == len(words):
         return words
     return [f"{word} [{job.folder.name}]" for word, job in zip(words, jobs, strict=True)]

@@ -56,12 +56,12 @@ def results_table(jobs: Sequence[RunRecord], design: Design) -> str:
     columns = _columns(complete, jobs, design)
     table = _render(columns, complete, 0)
     for shortness in (0, 1):
-        kept = columns
-        table = _render(kept, complete, shortness)
-        while _width(table) > WIDTH and shortness and any(column.is_extra for column in kept):
-            last = max(i for i, column in enumerate(kept) if column.is_extra)
-            kept = kept[:last] + kept[last + 1 :]
-            table = _render(kept, complete, shortness)
+        chosen = columns
+        table = _render(chosen, complete, shortness)
+        while _width(table) > WIDTH and shortness and any(column.is_extra for column in chosen):
+            last = max(i for i, column in enumerate(chosen) if column.is_extra)
+            chosen = chosen[:last] + chosen[last + 1 :]
+            table = _render(chosen, complete, shortness)
         if _width(table) <= WIDTH:
             break
     return table
