@@ -70,8 +70,8 @@ def record_residuals(capture: Capture, scene: Scene, recorder: Recorder) -> None
         here = image == i
         picture = residual_picture(read_color(capture.paths[i]), pixels[here], residuals[here], factor)
         median = float(residuals[here].norm(dim=-1).median()) if bool(here.any()) else 0.0
-        told = f"{int(here.sum())} residuals {factor} times as long, median {median:.2f} px"
-        _write(picture, f"{capture.names[i]}: {told}")
+        about = f"{int(here.sum())} residuals {factor} times as long, median {median:.2f} px"
+        _write(picture, f"{capture.names[i]}: {about}")
         recorder.picture(f"residuals/{Path(capture.names[i]).with_suffix('')}", torch.from_numpy(picture), 0)
 
 
