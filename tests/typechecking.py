@@ -13,7 +13,7 @@ from dataclasses import InitVar, is_dataclass
 from functools import wraps
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
-from inspect import Parameter, Signature, isgeneratorfunction, signature
+from inspect import Parameter, Signature, isgeneratorfunction, signature, unwrap
 from types import ModuleType
 from typing import Any, get_type_hints, runtime_checkable
 
@@ -21,11 +21,13 @@ import torch
 from beartype import BeartypeConf
 from beartype.door import is_bearable
 from jaxtyping import _storage
+from torch import Tensor
 from typing_extensions import is_protocol
 
 PACKAGE = "torchrefrac"
 NAME = "__checked__"  # of the decorator in the modules of the package
 CONF = BeartypeConf(is_pep484_tower=True)
+_stated: dict[Any, tuple[Signature, dict[str, Any]]] = {}
 
 
 class SignatureError(AssertionError):
@@ -47,57 +49,63 @@ def checked(item: Any) -> Any:
             item.__init__ = checked(item.__init__)
         elif issubclass(item, tuple) and "__new__" in vars(item):
             item.__new__ = checked(item.__new__)
+        elif issubclass(item, torch.autograd.Function):  # which the compiler looks into
+            for name, method in list(vars(item).items()):
+                if isinstance(method, staticmethod):
+                    setattr(item, name, staticmethod(unwrap(method.__func__)))
         return runtime_checkable(item) if is_protocol(item) else item
-    if isgeneratorfunction(item) or "jaxtyping." not in repr(getattr(item, "__annotations__", {})):
+    shapes = "jaxtyping." in repr(getattr(item, "__annotations__", {}))
+    if not shapes or isgeneratorfunction(item) or torch.compiler.is_compiling():
         return item
-    return _with_checks(item)
 
-
-def _with_checks(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compiled code runs the plain function: the compiler sees tensors that have no numbers."""
-    of = signature(function)
-    name = f"{function.__module__}.{function.__qualname__}"
-    hints: dict[str, Any] = {}
-
-    @wraps(function)
+    @wraps(item)
     def with_checks(*args: Any, **kwargs: Any) -> Any:
-        if torch.compiler.is_compiling():
-            return function(*args, **kwargs)
-        if not hints:  # at the first call all names that stand in strings are known
-            hints.update(_hints(function, of))
-        bound = of.bind(*args, **kwargs)
-        given = dict(bound.arguments)
-        bound.apply_defaults()
-        _storage.push_shape_memo(bound.arguments)  # a call's own sizes; `jaxtyped("context")` knows no "{count}"
-        try:
-            misfits = [key for key, value in given.items() if not is_bearable(value, hints[key], conf=CONF)]
-            result = function(*args, **kwargs)
-            if misfits:
-                key = misfits[0]
-                raise SignatureError(f"{name} accepts {key} = {_in_short(given[key])}, but states {hints[key]}")
-            if not is_bearable(result, hints["return"], conf=CONF):
-                sizes = ", ".join(f"{key} = {_in_short(value)}" for key, value in given.items())
-                raise SignatureError(f"{name} gives {_in_short(result)}, but states {hints['return']}; of {sizes}")
-            return result
-        finally:
-            _storage.pop_shape_memo()
+        return item(*args, **kwargs) if torch.compiler.is_compiling() else _call(item, args, kwargs)
 
     return with_checks
 
 
-def _hints(function: Callable[..., Any], of: Signature) -> dict[str, Any]:
-    """Of each parameter and of the result; what is not stated, or known to type checkers alone, may be anything."""
+def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    """`function` of these arguments, with checks. Trees of anything may have the form of a named tuple."""
+    if function.__name__ == "__new__" and not any(isinstance(value, Tensor) for value in (*args, *kwargs.values())):
+        return function(*args, **kwargs)
+    name = f"{function.__module__}.{function.__qualname__}"
+    key = (name, function.__code__)
+    if key not in _stated:  # at the first call all names that stand in strings are known
+        _stated[key] = _statements(function)
+    of, hints = _stated[key]
+    bound = of.bind(*args, **kwargs)
+    given = dict(bound.arguments)
+    bound.apply_defaults()
+    _storage.push_shape_memo(bound.arguments)  # a call's own sizes; `jaxtyped("context")` knows no "{count}"
+    try:
+        misfits = [key for key, value in given.items() if not is_bearable(value, hints[key], conf=CONF)]
+        result = function(*args, **kwargs)
+        if misfits:
+            key = misfits[0]
+            raise SignatureError(f"{name} accepts {key} = {_in_short(given[key])}, but states {hints[key]}")
+        if not is_bearable(result, hints["return"], conf=CONF):
+            sizes = ", ".join(f"{key} = {_in_short(value)}" for key, value in given.items())
+            raise SignatureError(f"{name} gives {_in_short(result)}, but states {hints['return']}; of {sizes}")
+        return result
+    finally:
+        _storage.pop_shape_memo()
+
+
+def _statements(function: Callable[..., Any]) -> tuple[Signature, dict[str, Any]]:
+    """The signature, and the type of each parameter and of the result; what is not stated, or known to type checkers
+    alone, may be anything."""
     try:
         stated = get_type_hints(function)
     except NameError:
         stated = {key: Any if isinstance(hint, str) else hint for key, hint in function.__annotations__.items()}
     stated = {key: hint.type if isinstance(hint, InitVar) else hint for key, hint in stated.items()}
-    hints = {"return": stated.get("return", Any)}
+    hints, of = {"return": stated.get("return", Any)}, signature(function)
     for key, parameter in of.parameters.items():
         hint = stated.get(key, Any)
         several = {Parameter.VAR_POSITIONAL: tuple[hint, ...], Parameter.VAR_KEYWORD: dict[str, hint]}
         hints[key] = several.get(parameter.kind, hint)
-    return hints
+    return of, hints
 
 
 def _in_short(value: Any) -> str:

@@ -119,5 +119,5 @@ def test_a_skewed_lens_is_refused(make_camera):
     pinhole = to_kornia(make_camera(2))
     pinhole.intrinsics[1, 0, 1] = 2.0
 
-    with pytest.raises(ValueError, match="pinhole has a skewed lens, but the skew must be 0"):
+    with pytest.raises(ValueError, match="pinhole has skewed pixels, but the skew must be 0"):
         from_kornia(pinhole)

@@ -369,3 +369,41 @@ def test_singular_information_has_no_covariance():
 
     assert exists.tolist() == [False, True]
     assert covariance.isfinite().all()
+
+
+def test_a_problem_that_no_step_improves_up_to_the_largest_damping_has_stalled(problems):
+    """Steps lead uphill: the model bends the wrong way."""
+    squares, start = problems["circle"]
+
+    class Uphill:
+        def linearize(self, states):
+            quadratic = squares.linearize(states)
+            return quadratic._replace(gradient=-quadratic.gradient)
+
+    report = minimize_each(Uphill(), start, 100, max_damping=1e3)
+
+    assert report.stalled.all()
+    assert not report.converged.any()
+    assert torch.equal(report.states, start)
+
+
+def test_a_damped_step_that_promises_little_does_not_count_as_convergence_where_an_undamped_one_promises_more():
+    start = torch.ones(3, 1, dtype=torch.float64)
+    squares = Squares(line, torch.zeros_like(start))
+
+    damped, undamped = (minimize_each(squares, start, 1, 1e-3, 1e4, undamped=u) for u in (False, True))
+
+    assert damped.converged.all()
+    assert not undamped.converged.any()
+    assert (undamped.states < start).all()
+
+
+def test_a_decrease_within_the_rounding_of_a_cost_is_convergence():
+    start = torch.full((2, 1), 1e-9, dtype=torch.float64)
+    squares = Squares(line, torch.zeros_like(start))
+
+    exact, rounded = (minimize_each(squares, start, 1, rounding=r) for r in (0.0, 1e-15))
+
+    assert not torch.equal(exact.states, start)
+    assert rounded.converged.all()
+    assert torch.equal(rounded.states, start)

@@ -238,10 +238,8 @@ def test_an_ordinary_scene_is_not_called_degenerate(make_problem, kind):
     ids=["three coordinates", "other count", "nan", "infinite"],
 )
 def test_matches_that_cannot_be_are_refused(plane1, plane2, message):
-    views = TwoViews(plane1, plane2, torch.eye(3).expand(2, 3, 3), torch.ones(2), torch.tensor(1.33))
-
     with pytest.raises(ValueError, match=message):
-        RelativePoseEstimator(views)
+        RelativePoseEstimator(TwoViews(plane1, plane2, torch.eye(3).expand(2, 3, 3), torch.ones(2), torch.tensor(1.33)))
 
 
 def test_a_relative_pose_without_refraction_is_refused():

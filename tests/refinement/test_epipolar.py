@@ -11,13 +11,14 @@ from torch import Tensor
 from tests.tolerances import DTYPES, TOLERANCE
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.geometry import so3_exp, triples
+from torchrefrac.minimal import triangulate
 from torchrefrac.refinement.epipolar import (
     EpipolarError,
     EpipolarJacobian,
     Views,
     epipolar_error,
     epipolar_jacobian,
-    meeting_points,
+    rays_in_water,
 )
 from torchrefrac.refraction import FlatInterface
 
@@ -98,7 +99,9 @@ def test_exact_matches_have_no_error_and_the_depth_of_their_point(make_pair, til
     assert error.error.abs().max() < 1e-9
     torch.testing.assert_close(error.depth, -pair.points[..., 2], rtol=1e-9, atol=0.0)
     assert error.possible.all()
-    torch.testing.assert_close(meeting_points(first, second, pair.index_ratio), pair.points, rtol=0.0, atol=1e-7)
+    rays = zip(*(rays_in_water(view, pair.index_ratio) for view in (first, second)), strict=True)
+    points, _ = triangulate(*(torch.stack(pair, dim=-2) for pair in rays))
+    torch.testing.assert_close(points, pair.points, rtol=0.0, atol=1e-7)
 
 
 @pytest.mark.parametrize("sigma", [0.3, 1.0, 2.0])

@@ -139,7 +139,7 @@ def _parts(
     offset: Float[Tensor, "*interface"],
 ) -> tuple[list[list[Float[Tensor, " k"]]], Float[Tensor, " k"]]:
     """The rows of u and those of v, and rho."""
-    intrinsics = Intrinsics(1, 1, focal, principal_point, distortion)
+    intrinsics = Intrinsics(1, 1, focal, principal_point, distortion, check=False)
     interface = FlatInterface(index_ratio, plane=Plane(normal, offset, check=False), check=False)
     blocks = *(INTRINSICS[name].block for name in model.intrinsics), *(WATER[name] for name in model.water)
     wanted = (*POSE, "point", *blocks)

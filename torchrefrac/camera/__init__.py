@@ -1,4 +1,4 @@
-"""Lens and refraction together: `RefractiveCamera`, of which the pinhole is the case of index ratio 1."""
+"""Intrinsics and refraction together: `RefractiveCamera`, of which the pinhole is the case of index ratio 1."""
 
 from torchrefrac.camera.distortion import distort, distort_with_jacobians, undistort
 from torchrefrac.camera.images import remove_refraction

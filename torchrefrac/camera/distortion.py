@@ -4,35 +4,38 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.geometry.triples import components
+from torchrefrac.geometry.triples import Part, components
 from torchrefrac.numerics import in_blocks
 
 UNDISTORT_STEPS = 8
 
 
 class DistortionSlopes(NamedTuple):
-    """Distorted (u, v) and derivatives (*B): in the ideal (x, y), where dv/dx = du/dy = mixed, and in k1, k2, p1, p2,
+    """Distorted (u, v) and derivatives: in the ideal (x, y), where dv/dx = du/dy = mixed, and in k1, k2, p1, p2,
     k3."""
 
-    u: Tensor
-    v: Tensor
-    du_dx: Tensor
-    mixed: Tensor
-    dv_dy: Tensor
-    by_u: tuple[Tensor, ...]
-    by_v: tuple[Tensor, ...]
+    u: Part
+    v: Part
+    du_dx: Part
+    mixed: Part
+    dv_dy: Part
+    by_u: tuple[Part, ...]
+    by_v: tuple[Part, ...]
 
 
-def distort(xy: Tensor, coefficients: Tensor) -> Tensor:
-    """Distorted image-plane coordinates (*B, 2) of ideal ones (*B, 2); coefficients (*B, 5)."""
+def distort(xy: Float[Tensor, "*#batch 2"], coefficients: Float[Tensor, "*#batch 5"]) -> Float[Tensor, "*batch 2"]:
+    """Distorted image-plane coordinates of ideal ones."""
     x, y = xy.unbind(dim=-1)
     return torch.stack(distort_components(x, y, coefficients.unbind(dim=-1)), dim=-1)
 
 
-def distort_with_jacobians(xy: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """`distort`, its derivative in xy (*B, 2, 2) and in the coefficients (*B, 2, 5)."""
+def distort_with_jacobians(
+    xy: Float[Tensor, "*#batch 2"], coefficients: Float[Tensor, "*#batch 5"]
+) -> tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch 2 2"], Float[Tensor, "*batch 2 5"]]:
+    """`distort`, its derivative in xy and in the coefficients."""
     x, y = xy.unbind(dim=-1)
     k = coefficients.unbind(dim=-1)
     slopes = distortion_slopes(x, y, k)
@@ -42,8 +45,8 @@ def distort_with_jacobians(xy: Tensor, coefficients: Tensor) -> tuple[Tensor, Te
     return torch.stack((u, v), dim=-1), by_xy, by_k
 
 
-def distort_components(x: Tensor, y: Tensor, coefficients: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-    """`distort` of coordinates (*B) held apart."""
+def distort_components(x: Part, y: Part, coefficients: Sequence[Part]) -> tuple[Part, Part]:
+    """`distort` of separate coordinates."""
     k1, k2, p1, p2, k3 = coefficients
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -54,7 +57,7 @@ def distort_components(x: Tensor, y: Tensor, coefficients: Sequence[Tensor]) -> 
     )
 
 
-def distortion_slopes(x: Tensor, y: Tensor, coefficients: Sequence[Tensor]) -> DistortionSlopes:
+def distortion_slopes(x: Part, y: Part, coefficients: Sequence[Part]) -> DistortionSlopes:
     """`distort_components` with its derivatives."""
     k1, k2, p1, p2, k3 = coefficients
     r2 = x * x + y * y
@@ -74,16 +77,20 @@ def distortion_slopes(x: Tensor, y: Tensor, coefficients: Sequence[Tensor]) -> D
     )
 
 
-def undistort(distorted: Tensor, coefficients: Tensor) -> Tensor:
-    """Ideal coordinates (*B, 2) whose distortion is `distorted` (*B, 2); inverse of `distort`.
+def undistort(
+    distorted: Float[Tensor, "*#batch 2"], coefficients: Float[Tensor, "*#batch 5"]
+) -> Float[Tensor, "*batch 2"]:
+    """Ideal coordinates whose distortion is `distorted`; inverse of `distort`.
 
-    Newton from the distorted point. It needs a lens that is one-to-one over the image (true of any calibrated
-    lens inside its image). The last step carries the graph, so first derivatives are exact.
+    Newton from the distorted point. It needs a distortion that is one-to-one over the image (true of any calibrated
+    camera inside its image). The last step carries the graph, so first derivatives are exact.
     """
     return in_blocks(_undistort, (distorted, coefficients), (1, 1), (1,))[0]
 
 
-def _undistort(distorted: Tensor, coefficients: Tensor) -> tuple[Tensor]:
+def _undistort(
+    distorted: Float[Tensor, "*#batch 2"], coefficients: Float[Tensor, "*#batch 5"]
+) -> tuple[Float[Tensor, "*batch 2"]]:
     u, v = components(distorted)
     k = components(coefficients)
     constants = [value.detach() for value in k]
@@ -95,8 +102,8 @@ def _undistort(distorted: Tensor, coefficients: Tensor) -> tuple[Tensor]:
 
 
 def _newton_step(
-    x: Tensor, y: Tensor, constants: Sequence[Tensor], coefficients: Sequence[Tensor], u: Tensor, v: Tensor
-) -> tuple[Tensor, Tensor]:
+    x: Part, y: Part, constants: Sequence[Part], coefficients: Sequence[Part], u: Part, v: Part
+) -> tuple[Part, Part]:
     slopes = distortion_slopes(x, y, constants)
     du_dx, mixed, dv_dy = slopes.du_dx, slopes.mixed, slopes.dv_dy
     at_x, at_y = distort_components(x, y, coefficients) if coefficients is not constants else (slopes.u, slopes.v)

@@ -1,6 +1,7 @@
 """Whole images: what a camera would have seen without the interface."""
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.camera.refractive import RefractiveCamera
@@ -8,16 +9,19 @@ from torchrefrac.checks import at_least_single, require, require_ending, require
 
 
 def remove_refraction(
-    image: Tensor, camera: RefractiveCamera, depth: Tensor | float, target: RefractiveCamera | None = None
-) -> tuple[Tensor, Tensor]:
+    image: Float[Tensor, "channels height width"],
+    camera: RefractiveCamera,
+    depth: Float[Tensor, "rows columns"] | Float[Tensor, ""] | float,
+    target: RefractiveCamera | None = None,
+) -> tuple[Float[Tensor, "channels rows columns"], Bool[Tensor, "rows columns"]]:
     """Resample an image to what `target` would have seen had the scene at `depth` lain in the camera's own medium.
 
-    image (C, H, W) as taken by `camera` (one camera, no batch), whose intrinsics have its size; depth: how far below
-    the interface's first surface the scene lies, a number or a map (target height, target width) for every pixel
+    image: as taken by `camera` (one camera, no batch), whose intrinsics have its size; depth: how far below
+    the interface's first surface the scene lies, a number or a map for every pixel
     of the result, in the unit of the scene, above 0. target: a camera without an interface, by default
-    `camera.as_pinhole()`, with its lens; give it intrinsics without distortion to undistort in the same step.
+    `camera.as_pinhole()`; give it intrinsics without distortion to undistort in the same step.
 
-    Returns the image (C, target height, target width) by bilinear interpolation, and a mask of the pixels that `camera`
+    Returns the image by bilinear interpolation, and a mask of the pixels that `camera`
     sees; elsewhere the result is 0. Exact where the scene lies at `depth`; a point at another depth is moved.
     Differentiable in the image, the depth and the camera.
     """
@@ -46,8 +50,12 @@ def remove_refraction(
     return torch.where(mask, resampled, 0.0), mask
 
 
-def _points_at_depth(view: RefractiveCamera, camera: RefractiveCamera, depth: Tensor | float) -> tuple[Tensor, Tensor]:
-    """Where the straight rays of `view` meet the plane `depth` below the interface (H, W, 3), and whether they do."""
+def _points_at_depth(
+    view: RefractiveCamera,
+    camera: RefractiveCamera,
+    depth: Float[Tensor, "rows columns"] | Float[Tensor, ""] | float,
+) -> tuple[Float[Tensor, "rows columns 3"], Bool[Tensor, "rows columns"]]:
+    """Where the straight rays of `view` meet the plane `depth` below the interface, and whether they do."""
     plane = camera.plane_in_world()
     center = view.center_in_world
     directions = view.view_directions(view.intrinsics.pixel_grid())

@@ -1,14 +1,15 @@
-"""Focal length, principal point and lens distortion of a camera."""
+"""Focal length, principal point and distortion of a camera."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import InitVar, dataclass, replace
 from typing import Any
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.camera.distortion import distort, undistort
-from torchrefrac.checks import at_least_single, require_broadcasting, require_ending
+from torchrefrac.checks import at_least_single, require, require_broadcasting, require_ending, require_floating
 from torchrefrac.numerics import pick
 
 
@@ -16,24 +17,32 @@ from torchrefrac.numerics import pick
 class Intrinsics:
     """Pinhole with Brown-Conrady distortion. Pixels: the centre of the top-left pixel is (0.5, 0.5).
 
-    focal (*B, 2) and principal_point (*B, 2) in pixels, distortion (*B, 5) as k1, k2, p1, p2, k3;
-    width and height in pixels.
+    focal and principal_point, width and height in pixels; distortion as k1, k2, p1, p2, k3. Raises ValueError for
+    shapes that do not fit, a focal length that is not finite and positive, and other values that are not finite;
+    check=False leaves out the look at values.
     """
 
     width: int
     height: int
-    focal: Tensor
-    principal_point: Tensor
-    distortion: Tensor
+    focal: Float[Tensor, "*#batch 2"]
+    principal_point: Float[Tensor, "*#batch 2"]
+    distortion: Float[Tensor, "*#batch 5"]
+    check: InitVar[bool] = True
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, check: bool) -> None:
         if min(self.width, self.height) < 1:
             raise ValueError(f"width and height are {self.width} and {self.height}, but must be at least 1 pixel")
         require_ending(self.focal, "focal", (2,))
         require_ending(self.principal_point, "principal_point", (2,))
         require_ending(self.distortion, "distortion", (5,))
         for name in ("focal", "principal_point", "distortion"):
+            require_floating(getattr(self, name), name)
             object.__setattr__(self, name, at_least_single(getattr(self, name)))
+        _ = self.shape
+        if check:
+            require(self.focal, "focal", above=0.0)
+            require(self.principal_point, "principal_point")
+            require(self.distortion, "distortion")
 
     @classmethod
     def create(
@@ -56,16 +65,16 @@ class Intrinsics:
             torch.tensor(distortion, dtype=dtype),
         )
 
-    def pixels_from_plane(self, xy: Tensor) -> Tensor:
-        """Pixels (*B, 2) of ideal image-plane coordinates x/z, y/z (*B, 2)."""
+    def pixels_from_plane(self, xy: Float[Tensor, "*#batch 2"]) -> Float[Tensor, "*batch 2"]:
+        """Pixels of ideal image-plane coordinates x/z, y/z."""
         return distort(xy, self.distortion) * self.focal + self.principal_point
 
-    def plane_from_pixels(self, pixels: Tensor) -> Tensor:
-        """Ideal image-plane coordinates (*B, 2) of pixels (*B, 2): the distortion is undone."""
+    def plane_from_pixels(self, pixels: Float[Tensor, "*#batch 2"]) -> Float[Tensor, "*batch 2"]:
+        """Ideal image-plane coordinates of pixels: the distortion is undone."""
         return undistort((pixels - self.principal_point) / self.focal, self.distortion)
 
-    def pixel_grid(self, height: int | None = None, width: int | None = None) -> Tensor:
-        """Centres (height, width, 2) of pixels of equal size that cover the image; by default its own pixels."""
+    def pixel_grid(self, height: int | None = None, width: int | None = None) -> Float[Tensor, "rows columns 2"]:
+        """Centres of pixels of equal size that cover the image; by default its own pixels."""
         rows = self.height if height is None else height
         columns = self.width if width is None else width
         if min(rows, columns) < 1:
@@ -76,8 +85,8 @@ class Intrinsics:
         )
         return torch.stack((x.expand(rows, -1), y[:, None].expand(-1, columns)), dim=-1)
 
-    def contains(self, pixels: Tensor) -> Tensor:
-        """Mask (*B) of pixels inside the image."""
+    def contains(self, pixels: Float[Tensor, "*batch 2"]) -> Bool[Tensor, "*batch"]:
+        """Mask of pixels inside the image."""
         x, y = pixels.unbind(dim=-1)
         return (x >= 0) & (x <= self.width) & (y >= 0) & (y <= self.height)
 
@@ -97,6 +106,7 @@ class Intrinsics:
             focal=pick(self.focal, index, batch, 1),
             principal_point=pick(self.principal_point, index, batch, 1),
             distortion=pick(self.distortion, index, batch, 1),
+            check=False,
         )
 
     def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "Intrinsics":
@@ -106,4 +116,5 @@ class Intrinsics:
             focal=self.focal.to(dtype=dtype, device=device),
             principal_point=self.principal_point.to(dtype=dtype, device=device),
             distortion=self.distortion.to(dtype=dtype, device=device),
+            check=False,
         )

@@ -12,55 +12,61 @@ from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.camera.distortion import distortion_slopes
 from torchrefrac.camera.intrinsics import Intrinsics
 from torchrefrac.camera.projection import View, in_camera, onto_plane, operands, view_of
 from torchrefrac.geometry import triples
-from torchrefrac.geometry.triples import Triple
+from torchrefrac.geometry.triples import Mask, Part, Triple, Vectors
 from torchrefrac.numerics import in_blocks
+from torchrefrac.numerics.blocks import AnyTensor
 from torchrefrac.refraction import FlatInterface
+from torchrefrac.refraction.interface import Parameter
 from torchrefrac.refraction.lift import Lift, Sight, is_valid, precise, solve_height_with_partials
 
 BLOCKS = ("rotation", "center", "point", "focal", "distortion", "indices", "plane_tilt", "plane_height")
-Axes = tuple[Sequence[Tensor], Sequence[Tensor]]
+Axes = tuple[Sequence[Part], Sequence[Part]]
 
 
 class ProjectionJacobians(NamedTuple):
-    """Derivatives of pixels (*B, 2).
+    """Derivatives of pixels.
 
-    rotation (*B, 2, 3): left perturbation, R <- exp([w]x) R, radians; center, point (*B, 2, 3): world frame;
-    focal (*B, 2, 2), principal_point (*B, 2, 2), distortion (*B, 2, 5); indices (*B, 2, L - 1): refractive index of
-    each layer behind the camera's, relative to the camera's; plane_tilt (*B, 2, 2), radians, and plane_height (*B, 2):
-    the coordinates of `Plane.moved`.
+    rotation: left perturbation, R <- exp([w]x) R, radians; center, point: world frame; indices: refractive index of
+    each layer behind the camera's, relative to the camera's; plane_tilt, radians, and plane_height: the coordinates of
+    `Plane.moved`.
     """
 
-    rotation: Tensor
-    center: Tensor
-    point: Tensor
-    focal: Tensor
-    principal_point: Tensor
-    distortion: Tensor
-    indices: Tensor
-    plane_tilt: Tensor
-    plane_height: Tensor
+    rotation: Float[Tensor, "*batch 2 3"]
+    center: Float[Tensor, "*batch 2 3"]
+    point: Float[Tensor, "*batch 2 3"]
+    focal: Float[Tensor, "*batch 2 2"]
+    principal_point: Float[Tensor, "*batch 2 2"]
+    distortion: Float[Tensor, "*batch 2 5"]
+    indices: Float[Tensor, "*batch 2 layers"]
+    plane_tilt: Float[Tensor, "*batch 2 2"]
+    plane_height: Float[Tensor, "*batch 2"]
 
     @property
-    def index_ratio(self) -> Tensor:
-        """(*B, 2): derivative in the index of the last medium relative to the camera's."""
+    def index_ratio(self) -> Float[Tensor, "*batch 2"]:
+        """Derivative in the index of the last medium relative to the camera's."""
         return self.indices[..., -1]
 
 
 def project_with_jacobians(
-    intrinsics: Intrinsics, rotation: Tensor, center: Tensor, points: Tensor, interface: FlatInterface
-) -> tuple[Tensor, ProjectionJacobians, Tensor]:
-    """Pixels (*B, 2), derivatives and validity (*B) of world points (*B, 3) seen by cameras.
+    intrinsics: Intrinsics,
+    rotation: Float[Tensor, "*#batch 3 3"],
+    center: Vectors,
+    points: Vectors,
+    interface: FlatInterface,
+) -> tuple[Float[Tensor, "*batch 2"], ProjectionJacobians, Bool[Tensor, "*batch"]]:
+    """Pixels, derivatives and validity of world points seen by cameras.
 
-    rotation (*B, 3, 3) cam_from_world, center (*B, 3); batches broadcast. Entries that are not valid are finite.
+    rotation: cam_from_world; batches broadcast. Entries that are not valid are finite.
     """
 
-    def block(first: Tensor, second: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
+    def block(first: Vectors, second: Vectors, *tensors: Parameter) -> tuple[AnyTensor, ...]:
         pixel, valid, by = _differentiate(tensors, interface, (triples.split(first), triples.split(second)), BLOCKS)
         return torch.stack(pixel, dim=-1), valid, *(_stack(*by[name]) for name in BLOCKS)
 
@@ -69,7 +75,7 @@ def project_with_jacobians(
     dims = (1, 0, *(2 for _ in BLOCKS))
     results = in_blocks(precise(block, interface), [*tangents, *tensors], [1, 1, *event_dims], dims)
     pixels, valid, *blocks = results
-    by: dict[str, Tensor] = dict(zip(BLOCKS, blocks, strict=True))
+    by = dict(zip(BLOCKS, blocks, strict=True))
     by["plane_height"] = by["plane_height"][..., 0]
     by["principal_point"] = torch.eye(2, dtype=pixels.dtype, device=pixels.device).expand((*valid.shape, 2, 2))
     return pixels, ProjectionJacobians(**by), valid
@@ -77,17 +83,17 @@ def project_with_jacobians(
 
 def projection_parts(
     intrinsics: Intrinsics,
-    rotation: Tensor,
-    center: Tensor,
-    points: Tensor,
+    rotation: Float[Tensor, "*#n 3 3"],
+    center: Float[Tensor, "*#n 3"],
+    points: Float[Tensor, "n 3"],
     interface: FlatInterface,
     wanted: Sequence[str],
     frozen_ratio: bool = False,
-) -> tuple[tuple[Tensor, Tensor], Tensor, dict[str, Axes]]:
+) -> tuple[tuple[Part, Part], Mask, dict[str, Axes]]:
     """`project_with_jacobians` of N observations for those who lay out the numbers themselves.
 
-    Returns the pixel's coordinates u and v (N each), validity (N), and by name the derivatives of u and those of v, as
-    many tensors (N) as the block is wide, of the `wanted` blocks (fields of `ProjectionJacobians`) if of no others.
+    Returns the pixel's coordinates u and v, validity, and by name the derivatives of u and those of v, as many tensors
+    as the block is wide, of the `wanted` blocks (fields of `ProjectionJacobians`) if of no others.
     Stacks are solved in the dtype given. The N are worked through at once: hand over as many as fit the cache.
 
     frozen_ratio: the refrax ratio lambda counts as a constant, as in the paper (section 3.5): the refrax
@@ -99,12 +105,12 @@ def projection_parts(
 
 
 def _differentiate(
-    tensors: Sequence[Tensor],
+    tensors: Sequence[Parameter],
     interface: FlatInterface,
     tangents: tuple[Triple, Triple],
     wanted: Collection[str],
     frozen_ratio: bool = False,
-) -> tuple[tuple[Tensor, Tensor], Tensor, dict[str, Axes]]:
+) -> tuple[tuple[Part, Part], Mask, dict[str, Axes]]:
     """The pixel's two coordinates, validity, and the derivatives of either coordinate, a sequence a block."""
     view = view_of(tensors, interface)
     lift = solve_height_with_partials(view.sight, interface.camera_in_rarest)
@@ -151,11 +157,11 @@ class _Bend(NamedTuple):
 
     q: Triple
     r: Triple
-    alpha: list[Tensor]
-    rise: Tensor
+    alpha: list[Part]
+    rise: Part
     dn: list[Triple]
-    by_height: Tensor
-    by_index: list[Tensor]
+    by_height: Part
+    by_index: list[Part]
 
 
 def _bend(sight: Sight, lift: Lift, tangents: tuple[Triple, Triple], with_tilt: bool) -> _Bend:
@@ -181,11 +187,11 @@ def _bend(sight: Sight, lift: Lift, tangents: tuple[Triple, Triple], with_tilt: 
 
 def _of_axis(
     view: View, bend: _Bend, x_in_cam: Triple, by_offset: Triple, wanted: Collection[str]
-) -> dict[str, Sequence[Tensor]]:
+) -> dict[str, Sequence[Part]]:
     """Derivatives of one pixel coordinate, given that in the apparent offset in the camera's frame."""
     g = by_offset if view.in_camera else _to_world(view, by_offset)
     g_n = triples.dot(g, view.sight.normal)
-    by: dict[str, Sequence[Tensor]] = {}
+    by: dict[str, Sequence[Part]] = {}
     by_point = triples.add_scaled(g, g_n, bend.q, sign=-1.0)
     if view.in_camera:
         by["rotation"] = triples.cross(view.sight.point, by_point)
@@ -213,7 +219,7 @@ def _to_world(view: View, row: Triple) -> Triple:
     return triples.add_scaled(triples.add_scaled(triples.scaled(row[0], first), row[1], second), row[2], third)
 
 
-def _stack(u_part: Sequence[Tensor], v_part: Sequence[Tensor]) -> Tensor:
-    """(*B, 2, k) from the k derivatives of u and those of v."""
+def _stack(u_part: Sequence[Part], v_part: Sequence[Part]) -> Float[Tensor, "*batch 2 k"]:
+    """One block from the k derivatives of u and those of v."""
     entries = torch.broadcast_tensors(*u_part, *v_part)
     return torch.stack(entries).unflatten(0, (2, len(u_part))).movedim((0, 1), (-2, -1))

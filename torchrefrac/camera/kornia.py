@@ -22,14 +22,14 @@ HALF_PIXEL = 0.5
 def from_kornia(pinhole: "PinholeCamera", interface: FlatInterface | None = None) -> RefractiveCamera:
     """A batch (B) of cameras with the pose and the intrinsics of `pinhole`, which look through `interface`.
 
-    Without one nothing is refracted. Raises ValueError for images of different sizes in one batch, or a skewed lens.
+    Without one nothing is refracted. Raises ValueError for images of different sizes in one batch, or skewed pixels.
     """
     width, height = int(pinhole.width[0]), int(pinhole.height[0])
     if not holds_everywhere((pinhole.width == width) & (pinhole.height == height)):
         raise ValueError("pinhole has images of different sizes, but one batch must have one size")
     matrix, rotation = pinhole.intrinsics, pinhole.extrinsics[..., :3, :3]
     if not holds_everywhere(matrix[..., 0, 1] == 0.0):
-        raise ValueError("pinhole has a skewed lens, but the skew must be 0")
+        raise ValueError("pinhole has skewed pixels, but the skew must be 0")
     intrinsics = Intrinsics(
         width,
         height,
@@ -44,13 +44,13 @@ def from_kornia(pinhole: "PinholeCamera", interface: FlatInterface | None = None
 def to_kornia(camera: RefractiveCamera) -> "PinholeCamera":
     """kornia's pinhole with the pose and intrinsics of `camera`; its interface is left behind.
 
-    The batch of any shape becomes one dimension (B), a single camera B = 1. Raises ValueError for a lens with
-    distortion, which kornia's camera does not have.
+    The batch of any shape becomes one dimension (B), a single camera B = 1. Raises ValueError for distortion, which
+    kornia's camera does not have.
     """
     from kornia.geometry.camera import PinholeCamera  # noqa: PLC0415 - importing it takes seconds
 
-    lens, batch = camera.intrinsics, camera.shape
-    if not holds_everywhere(lens.distortion == 0.0):
+    intrinsics, batch = camera.intrinsics, camera.shape
+    if not holds_everywhere(intrinsics.distortion == 0.0):
         raise ValueError("camera has lens distortion, but must have none: undistort its images first")
     rotation = camera.cam_from_world_rotation.expand(*batch, 3, 3).reshape(-1, 3, 3)
     center = camera.center_in_world.expand(*batch, 3).reshape(-1, 3)
@@ -59,8 +59,8 @@ def to_kornia(camera: RefractiveCamera) -> "PinholeCamera":
     extrinsics[:, :3, :3] = rotation
     extrinsics[:, :3, 3] = -rotate(rotation, center)
     matrix = torch.eye(4, dtype=center.dtype, device=center.device).repeat(count, 1, 1)
-    focal = lens.focal.expand(*batch, 2).reshape(-1, 2)
+    focal = intrinsics.focal.expand(*batch, 2).reshape(-1, 2)
     matrix[:, 0, 0], matrix[:, 1, 1] = focal[:, 0], focal[:, 1]
-    matrix[:, :2, 2] = lens.principal_point.expand(*batch, 2).reshape(-1, 2) - HALF_PIXEL
+    matrix[:, :2, 2] = intrinsics.principal_point.expand(*batch, 2).reshape(-1, 2) - HALF_PIXEL
     size = center.new_ones(count)
-    return PinholeCamera(matrix, extrinsics, size * lens.height, size * lens.width)
+    return PinholeCamera(matrix, extrinsics, size * intrinsics.height, size * intrinsics.width)

@@ -3,9 +3,10 @@
 from collections.abc import Collection
 from dataclasses import replace
 
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from torchrefrac.camera.refractive import RefractiveCamera
+from torchrefrac.camera.refractive import Points, RefractiveCamera
 from torchrefrac.checks import at_least_single
 from torchrefrac.geometry import rotate, so3_exp
 
@@ -13,24 +14,24 @@ LEARNABLE = ("index_ratio", "plane_tilt", "plane_height", "rotation", "center")
 
 
 class LearnableCamera(nn.Module):
-    """A `RefractiveCamera` whose index ratio, plane and poses are parameters; the lens stays as it is.
+    """A `RefractiveCamera` whose index ratio, plane and poses are parameters; the intrinsics stay as they are.
 
-    Parameters are changes from the camera given, all zero at the start: `index_ratio` (), log of the factor of
-    index ratio - 1; `plane_tilt` (2), radians, and `plane_height` (), the unit of the scene, as in `Plane.moved`;
-    `rotation` (*B, 3), left perturbation in radians, and `center` (*B, 3) for each camera. Those named in `learn` are
-    trained. The index ratio never falls below 1. Learn from points that lie inside the images: outside them a distorted
-    lens may lead astray.
+    Parameters are changes from the camera given, all zero at the start: `index_ratio`, log of the factor of
+    index ratio - 1; `plane_tilt`, radians, and `plane_height`, the unit of the scene, as in `Plane.moved`;
+    `rotation`, left perturbation in radians, and `center` for each camera. Those named in `learn` are
+    trained. The index ratio never falls below 1. Learn from points that lie inside the images: outside them distortion
+    may lead astray.
 
     Height and centre have the unit of the scene, the others none: give them learning rates of their own where that
     unit is far from the size of the scene. Raises ValueError for a name that is not known, and for an index ratio to
     learn that is 1 or belongs to more than two media.
     """
 
-    index_ratio: Tensor
-    plane_tilt: Tensor
-    plane_height: Tensor
-    rotation: Tensor
-    center: Tensor
+    index_ratio: Float[Tensor, ""]
+    plane_tilt: Float[Tensor, " 2"]
+    plane_height: Float[Tensor, ""]
+    rotation: Float[Tensor, "*batch 3"]
+    center: Float[Tensor, "*batch 3"]
 
     def __init__(self, camera: RefractiveCamera, learn: Collection[str] = ("index_ratio", "plane_height")) -> None:
         super().__init__()
@@ -70,6 +71,6 @@ class LearnableCamera(nn.Module):
         columns = rotate(so3_exp(turn)[..., None, :, :], start.cam_from_world_rotation.mT)
         return RefractiveCamera(start.intrinsics, columns.mT, start.center_in_world + shift, interface, check=False)
 
-    def forward(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, points_in_world: Points) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
         """`RefractiveCamera.project`."""
         return self.camera.project(points_in_world)

@@ -1,18 +1,19 @@
-"""The refractive projection as a function of tensors: lift the point, turn it into the camera, pinhole, lens."""
+"""The refractive projection as a function of tensors: lift the point, turn it into the camera, pinhole, distortion."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.camera.distortion import distort_components
 from torchrefrac.camera.intrinsics import Intrinsics
 from torchrefrac.geometry import triples
-from torchrefrac.geometry.triples import Triple
+from torchrefrac.geometry.triples import Mask, Part, Triple, Vectors
 from torchrefrac.numerics import in_blocks
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.refraction.interface import parameter_dims
+from torchrefrac.refraction.interface import Parameter, parameter_dims
 from torchrefrac.refraction.lift import Sight, is_valid, look, offset_components, precise, solve_height
 
 MIN_DEPTH = 1e-9
@@ -21,7 +22,7 @@ MIN_DEPTH = 1e-9
 class Operands(NamedTuple):
     """What a projection depends on, as tensors that `in_blocks` can cut up."""
 
-    tensors: list[Tensor]
+    tensors: list[Parameter]
     event_dims: list[int]
 
 
@@ -30,22 +31,26 @@ class View(NamedTuple):
     in the interface's frame, which is the camera's where `in_camera`."""
 
     rotation: tuple[Triple, Triple, Triple]
-    focal: Sequence[Tensor]
-    principal_point: Sequence[Tensor]
-    distortion: Sequence[Tensor]
+    focal: Sequence[Part]
+    principal_point: Sequence[Part]
+    distortion: Sequence[Part]
     sight: Sight
     in_camera: bool
 
 
 def project(
-    intrinsics: Intrinsics, rotation: Tensor, center: Tensor, points: Tensor, interface: FlatInterface
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Pixels (*B, 2) of world points (*B, 3), validity (*B), and which points lie beyond the first surface (*B).
+    intrinsics: Intrinsics,
+    rotation: Float[Tensor, "*#batch 3 3"],
+    center: Vectors,
+    points: Vectors,
+    interface: FlatInterface,
+) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"], Bool[Tensor, "*batch"]]:
+    """Pixels of world points, validity, and which points lie beyond the first surface.
 
-    rotation (*B, 3, 3) cam_from_world, center (*B, 3); batches broadcast. Entries that are not valid are finite.
+    rotation: cam_from_world; batches broadcast. Entries that are not valid are finite.
     """
 
-    def block(*tensors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def block(*tensors: Parameter) -> tuple[Parameter, Mask, Mask]:
         view = view_of(tensors, interface)
         straight = -view.sight.along
         height = straight if interface.is_absent else solve_height(view.sight, interface.camera_in_rarest)
@@ -61,18 +66,22 @@ def project(
 
 
 def operands(
-    intrinsics: Intrinsics, rotation: Tensor, center: Tensor, points: Tensor, interface: FlatInterface
+    intrinsics: Intrinsics,
+    rotation: Float[Tensor, "*#batch 3 3"],
+    center: Vectors,
+    points: Vectors,
+    interface: FlatInterface,
 ) -> Operands:
     """Everything in one list, and how many dimensions of each belong to one element."""
     parameters = interface.parameters(points)
-    lens = (intrinsics.focal, intrinsics.principal_point, intrinsics.distortion)
+    optics = (intrinsics.focal, intrinsics.principal_point, intrinsics.distortion)
     return Operands(
-        [rotation, center, points, *lens, *parameters],
+        [rotation, center, points, *optics, *parameters],
         [2, 1, 1, 1, 1, 1, *parameter_dims(parameters)],
     )
 
 
-def view_of(tensors: Sequence[Tensor], interface: FlatInterface) -> View:
+def view_of(tensors: Sequence[Parameter], interface: FlatInterface) -> View:
     """The operands taken apart."""
     rotation, center, points, focal, principal_point, distortion, *parameters = tensors
     rows, c, p = triples.rows(rotation), triples.split(center), triples.split(points)
@@ -91,7 +100,7 @@ def view_of(tensors: Sequence[Tensor], interface: FlatInterface) -> View:
     )
 
 
-def in_camera(view: View, height: Tensor) -> Triple:
+def in_camera(view: View, height: Part) -> Triple:
     """The apparent offset in the camera's frame, for the apparent height H."""
     offset = offset_components(view.sight, height)
     if view.in_camera:
@@ -100,7 +109,7 @@ def in_camera(view: View, height: Tensor) -> Triple:
     return triples.dot(first, offset), triples.dot(second, offset), triples.dot(third, offset)
 
 
-def onto_plane(x_in_cam: Triple) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def onto_plane(x_in_cam: Triple) -> tuple[Part, Part, Part, Mask]:
     """x/z, y/z, 1/z, and whether the point lies ahead; where not, z counts as 1."""
     x, y, z = x_in_cam
     ahead = z > MIN_DEPTH

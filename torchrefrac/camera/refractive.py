@@ -4,6 +4,7 @@ from dataclasses import InitVar, dataclass, replace
 from typing import Any
 
 import torch
+from jaxtyping import Bool, Float, Real
 from torch import Tensor
 
 from torchrefrac.camera.intrinsics import Intrinsics
@@ -15,41 +16,53 @@ from torchrefrac.checks import (
     require,
     require_broadcasting,
     require_ending,
+    require_floating,
+    require_rotation,
     unwrapped,
 )
 from torchrefrac.geometry import Plane, rotate
+from torchrefrac.geometry.triples import Vectors
 from torchrefrac.numerics import pick
 from torchrefrac.refraction import FlatInterface, lift_points, refract_rays
+
+Points = Real[Tensor, "*#batch 3"]  # whole numbers are taken in the dtype of the camera
+Pixels = Real[Tensor, "*#batch 2"]
 
 
 @dataclass(frozen=True, eq=False)
 class RefractiveCamera:
     """A batch of cameras that look at points beyond `interface`, or on their own side of it.
 
-    cam_from_world_rotation (*B, 3, 3), camera x right, y down, z forward; center_in_world (*B, 3), world z up. A
-    `FlatInterface` is by default a water surface at z = 0. The batch broadcasts against the leading dimensions of
-    what is projected: give points (N, 3) to one camera, or index a batch of M cameras as `camera[:, None]` for an
-    (M, N) grid.
+    cam_from_world_rotation: camera x right, y down, z forward; center_in_world: world z up. A `FlatInterface` is by
+    default a water surface at z = 0. The batch broadcasts against the leading dimensions of what is projected: give
+    points (N, 3) to one camera, or index a batch of M cameras as `camera[:, None]` for an (M, N) grid.
 
-    Raises ValueError for shapes that do not fit, values that are not finite, and a camera that does not stand on its
-    side of the interface. check=False leaves out the look at values, which waits for a GPU: steps of an optimiser may
-    put a camera under water; what it sees is then not valid.
+    The intrinsics take the dtype of the pose. Raises ValueError for shapes that do not fit, values that are not finite,
+    a rotation that is none (to three digits), and a camera that does not stand on its side of the interface.
+    check=False leaves out the look at values, which waits for a GPU: steps of an optimiser may put a camera under
+    water; what it sees is then not valid.
     """
 
     intrinsics: Intrinsics
-    cam_from_world_rotation: Tensor
-    center_in_world: Tensor
+    cam_from_world_rotation: Float[Tensor, "*#batch 3 3"]
+    center_in_world: Vectors
     interface: FlatInterface
     check: InitVar[bool] = True
 
     def __post_init__(self, check: bool) -> None:
         require_ending(self.cam_from_world_rotation, "cam_from_world_rotation", (3, 3))
         require_ending(self.center_in_world, "center_in_world", (3,))
+        require_floating(self.cam_from_world_rotation, "cam_from_world_rotation")
+        require_floating(self.center_in_world, "center_in_world")
+        if check:
+            require_rotation(self.cam_from_world_rotation, "cam_from_world_rotation")
         object.__setattr__(self, "cam_from_world_rotation", at_least_single(self.cam_from_world_rotation))
         object.__setattr__(self, "center_in_world", at_least_single(self.center_in_world))
+        dtype = torch.promote_types(self.cam_from_world_rotation.dtype, self.center_in_world.dtype)
+        if self.intrinsics.focal.dtype != dtype:
+            object.__setattr__(self, "intrinsics", self.intrinsics.to(dtype=dtype))
         _ = self.shape
         if check and not torch.compiler.is_compiling():
-            require(self.cam_from_world_rotation, "cam_from_world_rotation")
             require(self.center_in_world, "center_in_world")
             self._require_on_its_side()
 
@@ -90,9 +103,9 @@ class RefractiveCamera:
         )
 
     def project(
-        self, points_in_world: Tensor, *, inside_image: bool = False, beyond_only: bool = False
-    ) -> tuple[Tensor, Tensor]:
-        """Pixels (*B, 2) of world points (*B, 3), and a mask (*B) of what the camera can see.
+        self, points_in_world: Points, *, inside_image: bool = False, beyond_only: bool = False
+    ) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
+        """Pixels of world points, and a mask of what the camera can see.
 
         Exact (Chang & Chen, Eq. 21, for one water surface); differentiable in the points, the pose, the intrinsics and
         all of the interface. Points on the camera's side are seen straight: land and water in one call. Not valid: a
@@ -109,24 +122,30 @@ class RefractiveCamera:
             valid = valid & self.intrinsics.contains(pixels)
         return pixels, valid
 
-    def project_with_jacobians(self, points_in_world: Tensor) -> tuple[Tensor, ProjectionJacobians, Tensor]:
+    def project_with_jacobians(
+        self, points_in_world: Points
+    ) -> tuple[Float[Tensor, "*batch 2"], ProjectionJacobians, Bool[Tensor, "*batch"]]:
         """Pixels, their closed-form derivatives and the mask of `project`."""
         points = self._checked(points_in_world, "points_in_world", 3)
         return project_with_jacobians(
             self.intrinsics, self.cam_from_world_rotation, self.center_in_world, points, self.interface
         )
 
-    def cast_rays(self, pixels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The rays in the last medium that pixels (*B, 2) see, in the world frame.
+    def cast_rays(
+        self, pixels: Pixels
+    ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+        """The rays in the last medium that pixels see, in the world frame.
 
-        Returns where they enter it (*B, 3), unit directions there (*B, 3), and a mask (*B): False for rays that do not
+        Returns where they enter it, unit directions there, and a mask: False for rays that do not
         meet the interface or are totally reflected, which are returned straight, from the centre.
         """
         origins, _, directions, valid = self.follow_rays(pixels)
         return origins, directions, valid
 
-    def follow_rays(self, pixels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """`cast_rays` with both parts of each ray: origins, unit directions before and after (*B, 3), mask (*B)."""
+    def follow_rays(
+        self, pixels: Pixels
+    ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+        """`cast_rays` with both parts of each ray: origins, unit directions before and after, mask."""
         pixels = self._checked(pixels, "pixels", 2)
         in_cam = self._directions_in_cam(pixels)
         world_from_cam = self.cam_from_world_rotation.mT
@@ -137,16 +156,22 @@ class RefractiveCamera:
         origins, after, valid = refract_rays(torch.zeros_like(self.center_in_world), in_cam, self.interface)
         return rotate(world_from_cam, origins) + self.center_in_world, before, rotate(world_from_cam, after), valid
 
-    def rays(self, height: int | None = None, width: int | None = None) -> tuple[Tensor, Tensor, Tensor]:
-        """`cast_rays` for a whole image: origins and unit directions (*B, height, width, 3), mask (*B, height, width).
+    def rays(
+        self, height: int | None = None, width: int | None = None
+    ) -> tuple[
+        Float[Tensor, "*batch rows columns 3"],
+        Float[Tensor, "*batch rows columns 3"],
+        Bool[Tensor, "*batch rows columns"],
+    ]:
+        """`cast_rays` for a whole image: origins, unit directions and mask.
 
         The grid covers the image with pixels of equal size; by default it is the image's own.
         """
         grid = self.intrinsics.pixel_grid(height, width)
         return self[..., None, None].cast_rays(grid)
 
-    def view_directions(self, pixels: Tensor) -> Tensor:
-        """Unit viewing directions in the camera's medium, in the world frame: (*B, 2) -> (*B, 3)."""
+    def view_directions(self, pixels: Pixels) -> Float[Tensor, "*batch 3"]:
+        """Unit viewing directions in the camera's medium, in the world frame."""
         pixels = self._checked(pixels, "pixels", 2)
         return rotate(self.cam_from_world_rotation.mT, self._directions_in_cam(pixels))
 
@@ -155,29 +180,29 @@ class RefractiveCamera:
         center = self.center_in_world.expand((*self.shape, 3))
         return replace(self, center_in_world=center, interface=FlatInterface(1.0), check=False)
 
-    def apparent_points(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
-        """Where points (*B, 3) appear to be, in the world frame (*B, 3): lifted along the normal; and the mask (*B)."""
+    def apparent_points(self, points_in_world: Points) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+        """Where points appear to be, in the world frame: lifted along the normal; and the mask."""
         points = self._checked(points_in_world, "points_in_world", 3)
         offset, valid = self._offsets(points)
         if self.interface.moves_with_camera:
             offset = rotate(self.cam_from_world_rotation.mT, offset)
         return self.center_in_world + offset, valid
 
-    def apparent_depth(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
-        """How far below the first surface points appear to be (*B), negative on the camera's side; and the mask."""
+    def apparent_depth(self, points_in_world: Points) -> tuple[Float[Tensor, "*batch"], Bool[Tensor, "*batch"]]:
+        """How far below the first surface points appear to be, negative on the camera's side; and the mask."""
         apparent, valid = self.apparent_points(points_in_world)
         return -self.plane_in_world().signed_distance(apparent), valid
 
-    def incidence_angle(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
-        """Angle (*B, radians) between the ray to each point in the camera's medium and the normal; and the mask."""
+    def incidence_angle(self, points_in_world: Points) -> tuple[Float[Tensor, "*batch"], Bool[Tensor, "*batch"]]:
+        """Angle (radians) between the ray to each point in the camera's medium and the normal; and the mask."""
         points = self._checked(points_in_world, "points_in_world", 3)
         offset, valid = self._offsets(points)
         normal = self.interface.plane.normal_like(offset)
         across = torch.linalg.cross(normal.expand_as(offset), offset, dim=-1).norm(dim=-1)
         return torch.atan2(across, -(normal * offset).sum(dim=-1)), valid
 
-    def refraction_shift(self, points_in_world: Tensor) -> tuple[Tensor, Tensor]:
-        """By how many pixels (*B, 2) refraction moves the image of each point; and where both images are valid (*B)."""
+    def refraction_shift(self, points_in_world: Points) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"]]:
+        """By how many pixels refraction moves the image of each point; and where both images are valid."""
         bent, valid = self.project(points_in_world)
         straight, visible = self.as_pinhole().project(points_in_world)
         return bent - straight, valid & visible
@@ -190,7 +215,7 @@ class RefractiveCamera:
         world_from_cam = self.cam_from_world_rotation.mT
         return plane.in_frame(world_from_cam, -rotate(self.cam_from_world_rotation, self.center_in_world))
 
-    def _offsets(self, points: Tensor) -> tuple[Tensor, Tensor]:
+    def _offsets(self, points: Vectors) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
         """Apparent offsets in the interface's frame."""
         center = self.center_in_world
         if self.interface.moves_with_camera:
@@ -200,16 +225,18 @@ class RefractiveCamera:
         batch = torch.broadcast_shapes(self.shape, valid.shape)
         return offset.expand((*batch, 3)), valid.expand(batch)
 
-    def _directions_in_cam(self, pixels: Tensor) -> Tensor:
+    def _directions_in_cam(self, pixels: Pixels) -> Float[Tensor, "*batch 3"]:
         xy = self.intrinsics.plane_from_pixels(pixels)
         return torch.nn.functional.normalize(torch.cat((xy, torch.ones_like(xy[..., :1])), dim=-1), dim=-1)
 
-    def _checked(self, value: Tensor, name: str, components: int) -> Tensor:
+    def _checked(
+        self, value: Real[Tensor, "*batch n"], name: str, components: int
+    ) -> Float[Tensor, "*batch {components}"]:
         """Of a shape that broadcasts against the cameras, in the dtype that holds both."""
         require_ending(value, name, (components,))
         require_broadcasting(**{name: value.shape[:-1], "camera": self.shape})
         dtype = value.dtype
-        for tensor in (self.center_in_world, self.cam_from_world_rotation, self.intrinsics.focal):
+        for tensor in (self.center_in_world, self.cam_from_world_rotation):
             dtype = torch.promote_types(dtype, tensor.dtype)
         return value.to(dtype)
 

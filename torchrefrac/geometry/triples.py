@@ -1,10 +1,12 @@
 """Vectors as three separate tensors, one a component: long batches then run through contiguous memory."""
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-Part = Float[Tensor, "*#batch"]  # all parts in one signature broadcast
+Part = Float[Tensor, "*#batch"]  # one component, or another number of each element; all in one signature broadcast
+Mask = Bool[Tensor, "*#batch"]
+Vectors = Float[Tensor, "*#batch 3"]
 Triple = tuple[Part, Part, Part]
 
 

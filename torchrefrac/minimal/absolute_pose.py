@@ -7,18 +7,32 @@ Degenerate: two points on one vertical line (2-point), all points on one vertica
 """
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.minimal.rank import determines
-from torchrefrac.minimal.rays import apparent_z, cross2, require_index, require_sights, require_weights, slopes
+from torchrefrac.minimal.rays import (
+    Number,
+    Rays,
+    apparent_z,
+    cross2,
+    require_index,
+    require_sights,
+    require_weights,
+    slopes,
+)
 from torchrefrac.numerics import least_squares_on_circle, like
 
+TwoPoses = tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch 2 3"], Bool[Tensor, "*batch 2"]]
 
-def absolute_pose_2pt(rays: Tensor, points: Tensor, index_ratio: Tensor | float) -> tuple[Tensor, Tensor, Tensor]:
-    """Closed-form pose from 2 level rays (*B, 2, 3) and their world points (*B, 2, 3).
 
-    Returns heading (*B, 2) in radians, center (*B, 2, 3) and valid (*B, 2): up to two solutions of
-    alpha C + beta S + gamma = 0 with C^2 + S^2 = 1. Valid means: real, finite, camera above the water.
+def absolute_pose_2pt(
+    rays: Float[Tensor, "*batch 2 3"], points: Float[Tensor, "*batch 2 3"], index_ratio: Number
+) -> TwoPoses:
+    """Closed-form pose from 2 level rays and their world points.
+
+    Returns heading in radians, center and valid: up to two solutions of alpha C + beta S + gamma = 0 with
+    C^2 + S^2 = 1. Valid means: real, finite, camera above the water.
     """
     require_sights(rays, points, "the 2-point solver", 2)
     require_index(index_ratio)
@@ -26,8 +40,8 @@ def absolute_pose_2pt(rays: Tensor, points: Tensor, index_ratio: Tensor | float)
 
 
 def unchecked_absolute_pose_2pt(
-    rays: Tensor, points: Tensor, index_ratio: Tensor | float
-) -> tuple[Tensor, Tensor, Tensor]:
+    rays: Float[Tensor, "*batch 2 3"], points: Float[Tensor, "*batch 2 3"], index_ratio: Number
+) -> TwoPoses:
     """`absolute_pose_2pt` of arguments that are known to be right."""
     m, x, y, const = _terms(rays, points, index_ratio)
     # Rows per point: x C + y' S + const + t_xy - m t_z = 0. The difference of the two points frees t_xy,
@@ -54,13 +68,12 @@ def unchecked_absolute_pose_2pt(
 
 
 def absolute_pose_lsqi(
-    rays: Tensor, points: Tensor, index_ratio: Tensor | float, weights: Tensor | None = None
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Least-squares pose from n >= 3 level rays (*B, n, 3) and world points (*B, n, 3).
+    rays: Rays, points: Rays, index_ratio: Number, weights: Float[Tensor, "*batch n"] | None = None
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+    """Least-squares pose from n >= 3 level rays and world points.
 
-    weights (*B, n), zero for a point that does not count. The translation leaves by QR; what remains is a
-    linear least-squares problem on the unit circle (LSQI). Returns heading (*B), center (*B, 3), valid (*B): both are
-    determined, the camera above the water.
+    weights: zero for a point that does not count. The translation leaves by QR; what remains is a linear least-squares
+    problem on the unit circle (LSQI). Returns heading, center, valid: both are determined, the camera above the water.
     """
     require_sights(rays, points, "least squares", 3, or_more=True)
     require_index(index_ratio)
@@ -82,14 +95,14 @@ def absolute_pose_lsqi(
     return heading, torch.where(valid[..., None], center, torch.ones_like(center)), valid
 
 
-def _terms(rays: Tensor, points: Tensor, index_ratio: Tensor | float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Slopes m and the coefficients (*B, n, 2) of C, of S and of 1 in the two equations of a point."""
+def _terms(rays: Rays, points: Rays, index_ratio: Number) -> tuple[Float[Tensor, "*batch n 2"], ...]:
+    """Slopes m and the coefficients of C, of S and of 1 in the two equations of a point."""
     m, g = slopes(rays, like(index_ratio, rays)[..., None])
     px, py, pz = points.unbind(dim=-1)
     return m, torch.stack((px, py), dim=-1), torch.stack((-py, px), dim=-1), -m * apparent_z(pz, g)[..., None]
 
 
-def _center(heading: Tensor, translation: Tensor) -> Tensor:
+def _center(heading: Float[Tensor, "*batch"], translation: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
     """c = -R_z^T t."""
     c, s = heading.cos(), heading.sin()
     tx, ty, tz = translation.unbind(dim=-1)

@@ -15,12 +15,13 @@ other two may be missed, which happens in about 2 problems of 10 000.
 """
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import pad
 
 from torchrefrac.checks import require
 from torchrefrac.geometry.triples import Triple
-from torchrefrac.minimal.rays import bent, cross2, look_down, meet_below, require_index, require_pairs
+from torchrefrac.minimal.rays import Number, bent, cross2, look_down, meet_below, require_index, require_pairs
 from torchrefrac.numerics import adjugate_4x4, determinant_4x4, fourier_coefficients, like, roots_on_circle
 
 NEWTON_STEPS = 2
@@ -30,14 +31,16 @@ ROUNDING = 16.0
 """Multiple of the machine epsilon below which the four equations count as dependent."""
 
 
-def relative_pose_4pt(
-    rays1: Tensor, rays2: Tensor, index_ratio: Tensor | float, height: Tensor | float = 1.0
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Poses of the second camera from 4 pairs of level rays (*B, 4, 3), z up, each in its own camera's level frame.
+EightPoses = tuple[Float[Tensor, "*batch 8"], Float[Tensor, "*batch 8 3"], Bool[Tensor, "*batch 8"]]
 
-    height (*B) or a number is that of the first camera and sets the scale. Returns heading (*B, 8) in radians,
-    center (*B, 8, 3) and valid (*B, 8), at most six of them: a real and isolated root, the second camera above the
-    water, all rays going down and all four points below it.
+
+def relative_pose_4pt(
+    rays1: Float[Tensor, "*batch 4 3"], rays2: Float[Tensor, "*batch 4 3"], index_ratio: Number, height: Number = 1.0
+) -> EightPoses:
+    """Poses of the second camera from 4 pairs of level rays, z up, each in its own camera's level frame.
+
+    height is that of the first camera and sets the scale. Returns heading in radians, center and valid, at most six of
+    them: a real and isolated root, the second camera above the water, all rays going down and all four points below it.
     """
     require_pairs(rays1, rays2, "the 4-point solver", 4)
     require_index(index_ratio)
@@ -46,8 +49,8 @@ def relative_pose_4pt(
 
 
 def unchecked_relative_pose_4pt(
-    rays1: Tensor, rays2: Tensor, index_ratio: Tensor | float, height: Tensor | float = 1.0
-) -> tuple[Tensor, Tensor, Tensor]:
+    rays1: Float[Tensor, "*batch 4 3"], rays2: Float[Tensor, "*batch 4 3"], index_ratio: Number, height: Number = 1.0
+) -> EightPoses:
     """`relative_pose_4pt` of arguments that are known to be right."""
     first, second = bent(rays1, index_ratio), bent(rays2, index_ratio)
     terms = _terms(*first, *second)
@@ -65,8 +68,13 @@ def unchecked_relative_pose_4pt(
     return pad(heading, none), pad(center, (0, 0, *none), value=1.0), pad(valid, none)
 
 
-def _terms(m1: Tensor, w1: Tensor, m2: Tensor, w2: Tensor) -> Tensor:
-    """Coefficients (3, 4, 4, *B, 1) in 1, cos phi, sin phi of the entries of M, for a first camera at height 1."""
+def _terms(
+    m1: Float[Tensor, "*batch 4 2"],
+    w1: Float[Tensor, "*batch 4 2"],
+    m2: Float[Tensor, "*batch 4 2"],
+    w2: Float[Tensor, "*batch 4 2"],
+) -> Float[Tensor, "3 4 4 *batch 1"]:
+    """Coefficients in 1, cos phi, sin phi of the entries of M, for a first camera at height 1."""
     (ax, ay), (px, py) = w1.unbind(dim=-1), w2.unbind(dim=-1)
     zero = torch.zeros_like(ax)
     constant = (-ay, ax, zero, zero)
@@ -76,22 +84,26 @@ def _terms(m1: Tensor, w1: Tensor, m2: Tensor, w2: Tensor) -> Tensor:
     return columns.movedim(-1, 1)[..., None].contiguous()
 
 
-def _turned(terms: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
-    """M and dM/dphi (4, 4, *B, R) at headings (*B, R)."""
+def _turned(
+    terms: Float[Tensor, "3 4 4 *#batch"], heading: Float[Tensor, "*#batch"]
+) -> tuple[Float[Tensor, "4 4 *batch"], Float[Tensor, "4 4 *batch"]]:
+    """M and dM/dphi at headings."""
     constant, cosine, sine = terms
     c, s = heading.cos(), heading.sin()
     return torch.addcmul(torch.addcmul(constant, cosine, c), sine, s), torch.addcmul(sine * c, cosine, s, value=-1.0)
 
 
-def _null_vector(matrix: Tensor) -> Triple:
-    """The centre (*B) with M (c, 1) = 0: the longest column of the adjugate."""
+def _null_vector(matrix: Float[Tensor, "4 4 *batch"]) -> Triple:
+    """The centre with M (c, 1) = 0: the longest column of the adjugate."""
     adjugate = adjugate_4x4(matrix)
     longest = adjugate.square().sum(dim=0).argmax(dim=0)
     x, y, z, w = adjugate.gather(1, longest.expand(4, 1, *longest.shape))[:, 0]
     return x / w, y / w, z / w
 
 
-def _newton(terms: Tensor, heading: Tensor, center: Triple) -> tuple[Tensor, Triple, Tensor]:
+def _newton(
+    terms: Float[Tensor, "3 4 4 *#batch"], heading: Float[Tensor, "*#batch"], center: Triple
+) -> tuple[Float[Tensor, "*batch"], Triple, Bool[Tensor, "*batch"]]:
     """One step for (c, phi) on M(phi) (c, 1) = 0, none where it would not be finite, and where the root is isolated."""
     matrix, slope = _turned(terms, heading)
     residual, by_heading = (

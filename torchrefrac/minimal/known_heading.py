@@ -9,11 +9,14 @@ Degenerate: as in `relative_pose`; all points on one ray.
 """
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.checks import require, require_broadcasting
 from torchrefrac.minimal.rank import ROUNDING
 from torchrefrac.minimal.rays import (
+    Number,
+    Rays,
     apparent_z,
     bent,
     cross2,
@@ -27,17 +30,19 @@ from torchrefrac.minimal.rays import (
 )
 from torchrefrac.numerics import like
 
+Centers = tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]
+
 
 def relative_pose_3pt(
-    rays1: Tensor,
-    rays2: Tensor,
-    heading: Tensor | float,
-    index_ratio: Tensor | float,
-    height: Tensor | float = 1.0,
-) -> tuple[Tensor, Tensor]:
-    """Centre of the second camera from 3 pairs of level rays (*B, 3, 3) and its heading (*B) relative to the first.
+    rays1: Float[Tensor, "*batch 3 3"],
+    rays2: Float[Tensor, "*batch 3 3"],
+    heading: Number,
+    index_ratio: Number,
+    height: Number = 1.0,
+) -> Centers:
+    """Centre of the second camera from 3 pairs of level rays and its heading relative to the first.
 
-    The first camera stands at (0, 0, height). Returns center (*B, 3) and valid (*B): the centre is determined and
+    The first camera stands at (0, 0, height). Returns center and valid: the centre is determined and
     above the water, all rays go down and all three points lie below the surface.
     """
     require_pairs(rays1, rays2, "the 3-point solver", 3)
@@ -49,12 +54,12 @@ def relative_pose_3pt(
 
 
 def unchecked_relative_pose_3pt(
-    rays1: Tensor,
-    rays2: Tensor,
-    heading: Tensor | float,
-    index_ratio: Tensor | float,
-    height: Tensor | float = 1.0,
-) -> tuple[Tensor, Tensor]:
+    rays1: Float[Tensor, "*batch 3 3"],
+    rays2: Float[Tensor, "*batch 3 3"],
+    heading: Number,
+    index_ratio: Number,
+    height: Number = 1.0,
+) -> Centers:
     """`relative_pose_3pt` of arguments that are known to be right."""
     m1, w1 = bent(rays1, index_ratio)
     m2, w2 = (_turned(level, like(heading, rays2)) for level in bent(rays2, index_ratio))
@@ -72,17 +77,12 @@ def unchecked_relative_pose_3pt(
 
 
 def absolute_pose_known_heading(
-    rays: Tensor,
-    points: Tensor,
-    heading: Tensor | float,
-    index_ratio: Tensor | float,
-    weights: Tensor | None = None,
-) -> tuple[Tensor, Tensor]:
-    """Least-squares centre of a camera with heading (*B) from n >= 2 level rays and world points (*B, n, 3).
+    rays: Rays, points: Rays, heading: Number, index_ratio: Number, weights: Float[Tensor, "*batch n"] | None = None
+) -> Centers:
+    """Least-squares centre of a camera with a known heading from n >= 2 level rays and world points.
 
-    Points may lie in the water and on land. weights (*B, n), zero for a point that does not count. Returns center
-    (*B, 3) and valid (*B): the centre is determined and above the water. Which end of its
-    ray a point lies on is not asked.
+    Points may lie in the water and on land. weights: zero for a point that does not count. Returns center and valid:
+    the centre is determined and above the water. Which end of its ray a point lies on is not asked.
     """
     require_sights(rays, points, "the solver", 2, or_more=True)
     require_broadcasting(heading=like(heading, rays).shape, rays=rays.shape[:-2])
@@ -93,12 +93,8 @@ def absolute_pose_known_heading(
 
 
 def unchecked_absolute_pose_known_heading(
-    rays: Tensor,
-    points: Tensor,
-    heading: Tensor | float,
-    index_ratio: Tensor | float,
-    weights: Tensor | None = None,
-) -> tuple[Tensor, Tensor]:
+    rays: Rays, points: Rays, heading: Number, index_ratio: Number, weights: Float[Tensor, "*batch n"] | None = None
+) -> Centers:
     """`absolute_pose_known_heading` of arguments that are known to be right."""
     level, g = slopes(rays, like(index_ratio, rays)[..., None])
     m = _turned(level, like(heading, rays))
@@ -116,8 +112,8 @@ def unchecked_absolute_pose_known_heading(
     return torch.where(valid[..., None], center, 1.0), valid
 
 
-def _turned(level: Tensor, heading: Tensor) -> Tensor:
-    """Level vectors (*B, n, 2) in the axes of the world."""
+def _turned(level: Float[Tensor, "*batch n 2"], heading: Float[Tensor, "*#batch"]) -> Float[Tensor, "*batch n 2"]:
+    """Level vectors in the axes of the world."""
     c, s = heading.cos()[..., None], heading.sin()[..., None]
     x, y = level.unbind(dim=-1)
     return torch.stack((c * x + s * y, c * y - s * x), dim=-1)

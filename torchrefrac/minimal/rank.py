@@ -1,14 +1,15 @@
 """Whether a least-squares problem that was reduced by QR determines its unknowns."""
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 ROUNDING = 64.0
 """Multiple of the machine epsilon below which a remainder counts as rounding of the column it is left of."""
 
 
-def determines(triangle: Tensor, head: int, tail: int) -> Tensor:
-    """Whether R (*B, r, >= head + tail) fixes both groups of unknowns (*B).
+def determines(triangle: Float[Tensor, "*batch rows columns"], head: int, tail: int) -> Bool[Tensor, "*batch"]:
+    """Whether R, of at least head + tail columns, fixes both groups of unknowns.
 
     Each of the first `head` columns must be independent of those before it, and one of the `tail` columns that follow
     must be independent of the head. Columns are compared with their own length, so that their units do not matter.

@@ -1,18 +1,24 @@
 """What level rays say about the water below them, and the checks of rays that users hand in."""
 
+from collections.abc import Sequence
+
 import torch
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from torchrefrac.checks import require, require_floating
-from torchrefrac.geometry.triples import Triple
 from torchrefrac.numerics import like
 
-Slopes = tuple[Tensor, Tensor]
-"""Of rays: m in air and w in the water, each (*B, n, 2)."""
+Rays = Float[Tensor, "*batch n 3"]
+Number = Float[Tensor, "*#batch"] | float
+Slopes = tuple[Float[Tensor, "*batch n 2"], Float[Tensor, "*batch n 2"]]
+"""Of rays: m in air and w in the water."""
 
 
-def slopes(rays: Tensor, index_ratio: Tensor) -> tuple[Tensor, Tensor]:
-    """Horizontal slope in air m = v_xy / v_z (*B, 2), and the factor g (*B) by which water divides it.
+def slopes(
+    rays: Float[Tensor, "*batch 3"], index_ratio: Float[Tensor, "*#batch"]
+) -> tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch"]]:
+    """Horizontal slope in air m = v_xy / v_z, and the factor g by which water divides it.
 
     A point at p_z < 0 on the ray of a camera at height h lies at p_xy = -h m + p_z m / g from the camera
     (Chang & Chen, ICCV 2011, Eq. 9), g^2 = n^2 + (n^2 - 1) |m|^2.
@@ -22,21 +28,26 @@ def slopes(rays: Tensor, index_ratio: Tensor) -> tuple[Tensor, Tensor]:
     return slope, (n_sq + (n_sq - 1.0) * slope.square().sum(dim=-1)).sqrt()
 
 
-def bent(rays: Tensor, index_ratio: Tensor | float) -> Slopes:
-    """Slopes of rays (*B, n, 3) on both sides of the surface, for an index ratio (*B) or a number."""
+def bent(rays: Rays, index_ratio: Number) -> Slopes:
+    """Slopes of rays on both sides of the surface."""
     m, g = slopes(rays, like(index_ratio, rays)[..., None])
     return m, m / g[..., None]
 
 
-def apparent_z(z: Tensor, g: Tensor) -> Tensor:
+def apparent_z(z: Float[Tensor, "*batch"], g: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """The z at which a point at `z` is seen along its ray in air: z / g in the water, z itself in air."""
     return torch.where(z < 0.0, z / g, z)
 
 
-def meet_below(heading: Tensor, center: Triple, first: Slopes, second: Slopes) -> Tensor:
-    """Whether all n rays of a camera at (0, 0, 1), heading 0, meet below the surface those of R others (*B, R).
+def meet_below(
+    heading: Float[Tensor, "*batch others"],
+    center: Sequence[Float[Tensor, "*batch others"]],
+    first: Slopes,
+    second: Slopes,
+) -> Bool[Tensor, "*batch others"]:
+    """Whether all rays of a camera at (0, 0, 1), heading 0, meet below the surface those of others.
 
-    heading and the components of the centre (*B, R). The rays enter the water at q_k = c_k - c_kz m_k and pass each
+    The rays enter the water at q_k = c_k - c_kz m_k and pass each
     other at the depth (q_1 - q_2) . (w_1 - w_2) / |w_1 - w_2|^2.
     """
     c, s = heading.cos()[..., None, :], heading.sin()[..., None, :]
@@ -48,31 +59,40 @@ def meet_below(heading: Tensor, center: Triple, first: Slopes, second: Slopes) -
     return (along_x + along_y > 0.0).all(dim=-2)
 
 
-def look_down(rays1: Tensor, rays2: Tensor) -> Tensor:
-    """Whether all rays (*B, n, 3) of both cameras go down to the water (*B)."""
+def look_down(rays1: Rays, rays2: Rays) -> Bool[Tensor, "*batch"]:
+    """Whether all rays of both cameras go down to the water."""
     return ((rays1[..., 2] < 0.0) & (rays2[..., 2] < 0.0)).all(dim=-1)
 
 
-def cross2(a: Tensor, b: Tensor) -> Tensor:
-    """Two-dimensional cross product (*B) of (*B, 2) and (*B, 2)."""
+def cross2(a: Float[Tensor, "*batch 2"], b: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch"]:
+    """Two-dimensional cross product."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def require_pairs(rays1: Tensor, rays2: Tensor, solver: str, count: int, *, or_more: bool = False) -> None:
+def require_pairs(rays1: Rays, rays2: Rays, solver: str, count: int, *, or_more: bool = False) -> None:
     """Refuse anything but two batches (*B, count, 3) of finite rays, or of more of them."""
     _require(solver, count, or_more, rays1=rays1, rays2=rays2)
 
 
-def require_sights(rays: Tensor, points: Tensor, solver: str, count: int, *, or_more: bool = False) -> None:
+def require_sights(rays: Rays, points: Rays, solver: str, count: int, *, or_more: bool = False) -> None:
     """Refuse anything but batches (*B, count, 3) of finite rays and points, or of more of them."""
     _require(solver, count, or_more, rays=rays, points=points)
 
 
-def require_index(index_ratio: Tensor | float) -> None:
+def require_matches(plane: Float[Tensor, "n 2"], **others: Shaped[Tensor, "n columns"]) -> None:
+    """Refuse image coordinates that are not pairs, and what does not belong to as many matches."""
+    if plane.dim() != 2 or plane.shape[-1] != 2:
+        raise ValueError(f"image coordinates have shape {tuple(plane.shape)}, but must be (N, 2)")
+    for name, value in others.items():
+        if len(value) != len(plane):
+            raise ValueError(f"{name} has {len(value)} rows, but there are {len(plane)} image coordinates")
+
+
+def require_index(index_ratio: Float[Tensor, "*batch"] | float) -> None:
     require(index_ratio, "index_ratio", at_least=1.0)
 
 
-def require_weights(weights: Tensor | None, rays: Tensor) -> None:
+def require_weights(weights: Float[Tensor, "*batch n"] | None, rays: Rays) -> None:
     """Refuse weights that are not one a ray, finite and at least zero."""
     if weights is None:
         return
@@ -81,7 +101,7 @@ def require_weights(weights: Tensor | None, rays: Tensor) -> None:
     require(weights, "weights", at_least=0.0)
 
 
-def _require(solver: str, count: int, or_more: bool, **batches: Tensor) -> None:
+def _require(solver: str, count: int, or_more: bool, **batches: Rays) -> None:
     (name, first), (other, second) = batches.items()
     if first.shape != second.shape or first.dim() < 2 or first.shape[-1] != 3:
         wanted = f"(*B, {'n' if or_more else count}, 3)"

@@ -11,11 +11,14 @@ water surface and with it the scale cannot be seen.
 """
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.checks import require
 from torchrefrac.minimal.rank import determines
 from torchrefrac.minimal.rays import (
+    Number,
+    Rays,
     Slopes,
     bent,
     cross2,
@@ -27,11 +30,13 @@ from torchrefrac.minimal.rays import (
 )
 from torchrefrac.numerics import like, smallest_eigenvector_2x2
 
+Poses = tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch 2 3"], Bool[Tensor, "*batch 2"]]
+
 
 def relative_pose_7pt(
-    rays1: Tensor, rays2: Tensor, index_ratio: Tensor | float, height: Tensor | float = 1.0
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Pose of the second camera from 7 pairs of level rays (*B, 7, 3); see `relative_pose_npt`.
+    rays1: Float[Tensor, "*batch 7 3"], rays2: Float[Tensor, "*batch 7 3"], index_ratio: Number, height: Number = 1.0
+) -> Poses:
+    """Pose of the second camera from 7 pairs of level rays; see `relative_pose_npt`.
 
     Seven pairs are solved exactly, so that valid means besides: all rays go down, all seven points lie below the water.
     """
@@ -46,20 +51,20 @@ def relative_pose_7pt(
 
 
 def relative_pose_npt(
-    rays1: Tensor,
-    rays2: Tensor,
-    index_ratio: Tensor | float,
-    height: Tensor | float = 1.0,
-    weights: Tensor | None = None,
-) -> tuple[Tensor, Tensor, Tensor]:
+    rays1: Rays,
+    rays2: Rays,
+    index_ratio: Number,
+    height: Number = 1.0,
+    weights: Float[Tensor, "*batch n"] | None = None,
+) -> Poses:
     """Linear pose of the second camera from n >= 7 pairs of level rays.
 
-    rays1, rays2 (*B, n, 3), z up, each in its own camera's level frame; height (*B) or a number is that of the first
-    camera and sets the scale; weights (*B, n), zero for a pair that does not count.
-    Minimises |E x| with C^2 + S^2 = 1: the last six unknowns leave by QR, a 2x2 eigenproblem remains.
-    Returns heading (*B, 2) in radians, center (*B, 2, 3) and valid (*B, 2) of the two candidates x and -x, the
-    consistent one first. Valid means: determined, second camera above the water. With noise some rays of a right pose
-    meet above the surface or nowhere, so that no pair is asked where it meets.
+    rays1, rays2: z up, each in its own camera's level frame; height is that of the first camera and sets the scale;
+    weights: zero for a pair that does not count. Minimises |E x| with C^2 + S^2 = 1: the last six unknowns leave by QR,
+    a 2x2 eigenproblem remains.
+    Returns heading in radians, center and valid of the two candidates x and -x, the consistent one first. Valid means:
+    determined, second camera above the water. With noise some rays of a right pose meet above the surface or nowhere,
+    so that no pair is asked where it meets.
     """
     require_pairs(rays1, rays2, "the linear solver", 7, or_more=True)
     require_index(index_ratio)
@@ -70,15 +75,15 @@ def relative_pose_npt(
     return heading, _scaled(center, valid, like(height, rays1)), valid
 
 
-def _rows(first: Slopes, second: Slopes) -> Tensor:
-    """The equations e (*B, n, 8), for a first camera at height 1."""
+def _rows(first: Slopes, second: Slopes) -> Float[Tensor, "*batch n 8"]:
+    """The equations e, for a first camera at height 1."""
     (m1, w1), (m2, w2) = first, second
     n2, v2 = (torch.stack((part[..., 1], -part[..., 0]), dim=-1) for part in second)
     turned = (cross2(w2, m1), cross2(v2, m1), cross2(w1, m2), cross2(w1, n2))
     return torch.stack((*turned, -w2[..., 1], w2[..., 0], w1[..., 1], -w1[..., 0]), dim=-1)
 
 
-def _solve(rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _solve(rows: Float[Tensor, "*batch n 8"]) -> Poses:
     """Heading, centre and validity of both candidates, for a first camera at height 1."""
     triangle = torch.linalg.qr(torch.cat((rows[..., 2:], rows[..., :2]), dim=-1), mode="r").R
     if triangle.shape[-2] < 8:
@@ -102,5 +107,7 @@ def _solve(rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return torch.stack((heading, heading + torch.pi), dim=-1), center, valid
 
 
-def _scaled(center: Tensor, valid: Tensor, height: Tensor) -> Tensor:
+def _scaled(
+    center: Float[Tensor, "*batch 2 3"], valid: Bool[Tensor, "*batch 2"], height: Float[Tensor, "*#batch"]
+) -> Float[Tensor, "*batch 2 3"]:
     return torch.where(valid[..., None], center * height[..., None, None], 1.0)

@@ -1,18 +1,22 @@
 """Linear triangulation from any number of rays, bent or not."""
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.numerics import inverse_cholesky_3x3
 
 
-def triangulate(origins: Tensor, directions: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
+def triangulate(
+    origins: Float[Tensor, "*batch n 3"],
+    directions: Float[Tensor, "*batch n 3"],
+    weights: Float[Tensor, "*batch n"] | None = None,
+) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
     """The points with the least sum of squared distances to their rays.
 
-    origins (*B, n, 3) and unit directions (*B, n, 3), as `RefractiveCamera.cast_rays` returns them (the rays lie in
-    the water, so that refraction needs no further thought); weights (*B, n), zero for a ray that does not exist.
-    Returns points (*B, 3) and valid (*B): False with fewer than two rays, or with parallel ones, where the point is
-    the (weighted) mean of the origins.
+    origins and unit directions, as `RefractiveCamera.cast_rays` returns them (the rays lie in the water, so that
+    refraction needs no further thought); weights: zero for a ray that does not exist. Returns points and valid: False
+    with fewer than two rays, or with parallel ones, where the point is the (weighted) mean of the origins.
     """
     if origins.shape != directions.shape or origins.shape[-1:] != (3,):
         raise ValueError(
@@ -38,8 +42,10 @@ def triangulate(origins: Tensor, directions: Tensor, weights: Tensor | None = No
     return mean + torch.where(valid[..., None], solution, 0.0), valid
 
 
-def triangulation_angle(directions: Tensor, present: Tensor) -> Tensor:
-    """Largest angle (radians, *B) between any two of the unit directions (*B, n, 3) that are `present` (*B, n)."""
+def triangulation_angle(
+    directions: Float[Tensor, "*batch n 3"], present: Bool[Tensor, "*batch n"]
+) -> Float[Tensor, "*batch"]:
+    """Largest angle, radians, between any two of the unit directions that are `present`."""
     cosine = directions @ directions.mT
     both = present[..., :, None] & present[..., None, :]
     smallest = torch.where(both, cosine, 1.0).flatten(-2).amin(dim=-1)

@@ -10,16 +10,17 @@ from torch import Tensor
 from torchrefrac.checks import is_wrapped
 
 BLOCK = 32768
-Tensors = Callable[..., tuple[Shaped[Tensor, "..."], ...]]  # a function of several tensors that gives several
+AnyTensor = Shaped[Tensor, "..."]
+Tensors = Callable[..., tuple[AnyTensor, ...]]  # a function of several tensors that gives several
 
 
 def in_blocks(
     function: Tensors,
-    tensors: Sequence[Shaped[Tensor, "..."]],
+    tensors: Sequence[AnyTensor],
     event_dims: Sequence[int],
     result_dims: Sequence[int],
     size: int = BLOCK,
-) -> tuple[Shaped[Tensor, "..."], ...]:
+) -> tuple[AnyTensor, ...]:
     """`function(*tensors)`, computed for at most `size` elements of the batch at a time; each is treated alone.
 
     The last `event_dims[i]` dimensions of tensor i belong to one element, those before them broadcast to the batch;
@@ -35,7 +36,7 @@ def in_blocks(
         for t, k in zip(tensors, event_dims, strict=True)
     ]
     shared = [t.dim() == k for t, k in zip(tensors, event_dims, strict=True)]
-    results: list[Tensor] = []
+    results: list[AnyTensor] = []
     for block in _blocks(batch, size):
         parts = function(*(t if is_shared else t[block] for t, is_shared in zip(spread, shared, strict=True)))
         results = results or [
@@ -59,7 +60,7 @@ def _blocks(batch: Sequence[int], size: int) -> Iterator[tuple[slice, ...]]:
             yield (slice(i, i + step),)
 
 
-def _is_plain(tensor: Shaped[Tensor, "..."]) -> bool:
+def _is_plain(tensor: AnyTensor) -> bool:
     if torch.compiler.is_compiling() or tensor.device.type != "cpu":
         return False
     graph = tensor.requires_grad and torch.is_grad_enabled()

@@ -4,79 +4,93 @@ The problems know nothing of each other. A step is judged by the cost of the sta
 in the same pass: most steps are accepted, and one pass costs little more than the cost alone.
 """
 
+import math
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-LEAVING = 0.3  # of the problems must have converged before it is worth leaving them behind
+LEAVING = 0.3  # of the problems must be done before it is worth leaving them behind
 
 
 class Quadratic(NamedTuple):
-    """Costs (K) of K problems in D unknowns, their gradients (K, D) and Gauss-Newton Hessians (K, D, D)."""
+    """Costs of K problems in D unknowns, their gradients and Gauss-Newton Hessians."""
 
-    cost: Tensor
-    gradient: Tensor
-    hessian: Tensor
+    cost: Float[Tensor, " k"]
+    gradient: Float[Tensor, "k d"]
+    hessian: Float[Tensor, "k d d"]
 
 
 class SmallProblems(Protocol):
     """K problems whose states are rows of D numbers, to which steps are added."""
 
-    def linearize(self, states: Tensor) -> Quadratic:
-        """At states (K, D). An impossible state has an infinite or NaN cost."""
+    def linearize(self, states: Float[Tensor, "k d"]) -> Quadratic:
+        """An impossible state has an infinite or NaN cost."""
         ...
 
 
 class SmallReport(NamedTuple):
-    """states (K, D), the last quadratic model there, and which have converged (K)."""
+    """The states, the last quadratic model there, which have converged, and which no step improves at any damping."""
 
-    states: Tensor
+    states: Float[Tensor, "k d"]
     quadratic: Quadratic
-    converged: Tensor
+    converged: Bool[Tensor, " k"]
+    stalled: Bool[Tensor, " k"]
 
 
 @runtime_checkable
 class Separable(SmallProblems, Protocol):
     """Problems of which some can be looked at without the others."""
 
-    def subset(self, rows: Tensor) -> "Separable":
-        """The problems `rows` (k) alone."""
+    def subset(self, rows: Int[Tensor, " some"]) -> "Separable":
+        """The problems `rows`, which ascend, alone."""
         ...
 
 
 def minimize_each(
     problems: SmallProblems,
-    states: Tensor,
+    states: Float[Tensor, "k d"],
     max_iterations: int = 20,
     tolerance: float = 1e-8,
     damping: float = 1e-4,
+    *,
+    max_damping: float = math.inf,
+    rounding: float = 0.0,
+    undamped: bool = False,
 ) -> SmallReport:
-    """Minimise each problem from its own state (K, D); no state ends worse than it began.
+    """Minimise each problem from its own state; no state ends worse than it began.
 
-    A problem has converged when the decrease that its model still promises is below `tolerance` of its cost. One that
-    starts from an impossible state, or whose model has no minimum at any damping, does not. `Separable` problems that
-    have converged are left out of later iterations.
+    A problem has converged when the decrease that its model still promises, for a step without damping if `undamped`,
+    is below `tolerance` of its cost and `rounding`, that of a cost. One that starts from an impossible state, or whose
+    model has no minimum at any damping, does not. Problems that have converged or stalled, at a damping beyond
+    `max_damping`, stay as they are; `Separable` ones are left out of later iterations.
     """
     current = problems.linearize(states)
     damp = torch.full_like(current.cost, damping)
-    converged = torch.zeros_like(current.cost, dtype=torch.bool)
-    waiting: list[tuple[Tensor, SmallReport]] = []  # what has left, and the rows that it had
+    converged = stalled = torch.zeros_like(current.cost, dtype=torch.bool)
+    waiting: list[tuple[Int[Tensor, " some"], SmallReport]] = []  # what has left, and the rows that it had
     rows = torch.arange(len(states), device=states.device)
     for _ in range(max_iterations):
         step = solve_damped(current, damp)
-        promised = -0.5 * (current.gradient * step).sum(dim=-1)
-        solved = step.any(dim=-1) | ~current.gradient.any(dim=-1)
-        converged = converged | (solved & current.cost.isfinite() & (promised <= tolerance * current.cost))
-        if bool(converged.all()):
+        promised = _promised(current, step)
+        solved = promised.isfinite()
+        if undamped:
+            promised = _promised(current, solve_damped(current, torch.zeros_like(damp)))
+        small = promised <= tolerance * current.cost + rounding
+        converged = converged | (solved & current.cost.isfinite() & small)
+        done = converged | stalled
+        if bool(done.all()):
             break
-        if isinstance(problems, Separable) and int(converged.sum()) > LEAVING * len(rows):
-            leave, stay = converged.nonzero()[:, 0], (~converged).nonzero()[:, 0]
-            waiting.append((rows[leave], _rows_of(SmallReport(states, current, converged), leave)))
-            states, current, converged = _rows_of(SmallReport(states, current, converged), stay)
+        if isinstance(problems, Separable) and int(done.sum()) > LEAVING * len(rows):
+            leave, stay = done.nonzero()[:, 0], (~done).nonzero()[:, 0]
+            report = SmallReport(states, current, converged, stalled)
+            waiting.append((rows[leave], _rows_of(report, leave)))
+            states, current, converged, stalled = _rows_of(report, stay)
             problems, rows, damp, step, solved = problems.subset(stay), rows[stay], damp[stay], step[stay], solved[stay]
+            done = done[stay]
         tried = problems.linearize(states + step)
-        better = solved & tried.cost.isfinite() & (tried.cost <= current.cost) & ~converged
+        better = solved & tried.cost.isfinite() & (tried.cost <= current.cost) & ~done
         states = torch.where(better[:, None], states + step, states)
         current = Quadratic(
             torch.where(better, tried.cost, current.cost),
@@ -84,27 +98,32 @@ def minimize_each(
             torch.where(better[:, None, None], tried.hessian, current.hessian),
         )
         damp = torch.where(better, 0.1 * damp, 10.0 * damp)
-    report = SmallReport(states, current, converged)
+        stalled = stalled | (~done & (damp > max_damping))
+    report = SmallReport(states, current, converged, stalled)
     return _together([*waiting, (rows, report)]) if waiting else report
 
 
-def _rows_of(report: SmallReport, rows: Tensor) -> SmallReport:
+def _promised(quadratic: Quadratic, step: Float[Tensor, "k d"]) -> Float[Tensor, " k"]:
+    """How much lower the models say that costs will be; infinite where a step of zero is no solution."""
+    solved = step.any(dim=-1) | ~quadratic.gradient.any(dim=-1)
+    return torch.where(solved, -0.5 * (quadratic.gradient * step).sum(dim=-1), torch.inf)
+
+
+def _rows_of(report: SmallReport, rows: Int[Tensor, " some"]) -> SmallReport:
     quadratic = Quadratic(*(part[rows] for part in report.quadratic))
-    return SmallReport(report.states[rows], quadratic, report.converged[rows])
+    return SmallReport(report.states[rows], quadratic, report.converged[rows], report.stalled[rows])
 
 
-def _together(parts: list[tuple[Tensor, SmallReport]]) -> SmallReport:
+def _together(parts: list[tuple[Int[Tensor, " some"], SmallReport]]) -> SmallReport:
     """Reports of some rows each as one of all."""
     order = torch.cat([rows for rows, _ in parts]).argsort()
-    reports = [report for _, report in parts]
-    quadratic = Quadratic(*(torch.cat(part)[order] for part in zip(*(r.quadratic for r in reports), strict=True)))
-    return SmallReport(
-        torch.cat([r.states for r in reports])[order], quadratic, torch.cat([r.converged for r in reports])[order]
-    )
+    states, quadratics, converged, stalled = zip(*(report for _, report in parts), strict=True)
+    quadratic = Quadratic(*(torch.cat(part)[order] for part in zip(*quadratics, strict=True)))
+    return SmallReport(torch.cat(states)[order], quadratic, torch.cat(converged)[order], torch.cat(stalled)[order])
 
 
-def solve_damped(quadratic: Quadratic, damping: Tensor) -> Tensor:
-    """Steps (K, D) of (H + damping diag(H)) step = -gradient, in units in which H has a unit diagonal.
+def solve_damped(quadratic: Quadratic, damping: Float[Tensor, " k"]) -> Float[Tensor, "k d"]:
+    """Steps of (H + damping diag(H)) step = -gradient, in units in which H has a unit diagonal.
 
     Zero where the system is not positive definite.
     """
@@ -115,8 +134,8 @@ def solve_damped(quadratic: Quadratic, damping: Tensor) -> Tensor:
     return torch.where((info == 0)[:, None] & step.isfinite(), step, 0.0)
 
 
-def covariance_of(hessian: Tensor) -> tuple[Tensor, Tensor]:
-    """Inverses (K, D, D) of information matrices, and where they exist (K); zero where they do not."""
+def covariance_of(hessian: Float[Tensor, "k d d"]) -> tuple[Float[Tensor, "k d d"], Bool[Tensor, " k"]]:
+    """Inverses of information matrices, and where they exist; zero where they do not."""
     scaled, scale = _with_unit_diagonal(hessian)
     factor, info = torch.linalg.cholesky_ex(scaled)
     exists = (info == 0)[:, None, None]
@@ -125,8 +144,8 @@ def covariance_of(hessian: Tensor) -> tuple[Tensor, Tensor]:
     return torch.where(exists, inverse * scale[:, :, None] * scale[:, None, :], 0.0), info == 0
 
 
-def _with_unit_diagonal(hessian: Tensor) -> tuple[Tensor, Tensor]:
-    """S H S with S = diag(H)^(-1/2), whose units do not matter, and the diagonal of S (K, D)."""
+def _with_unit_diagonal(hessian: Float[Tensor, "k d d"]) -> tuple[Float[Tensor, "k d d"], Float[Tensor, "k d"]]:
+    """S H S with S = diag(H)^(-1/2), whose units do not matter, and the diagonal of S."""
     diagonal = hessian.diagonal(dim1=-2, dim2=-1)
     scale = diagonal.clamp(min=torch.finfo(hessian.dtype).tiny).rsqrt()
     return hessian * scale[:, :, None] * scale[:, None, :], scale

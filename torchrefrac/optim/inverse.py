@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchrefrac.checks import TorchrefracError
 from torchrefrac.optim.dense import prepare
 from torchrefrac.optim.elimination import Elimination
 from torchrefrac.optim.normal_equations import DIAGONAL, NEGLIGIBLE, NormalEquations
@@ -14,7 +15,7 @@ from torchrefrac.optim.plan import ELIMINATED_SIZE
 ROUNDING = 0.1  # of a zero eigenvalue, in units of the size of the matrix and the precision
 
 
-class SingularError(ArithmeticError):
+class SingularError(TorchrefracError, ArithmeticError):
     """The normal equations do not determine their unknowns."""
 
 

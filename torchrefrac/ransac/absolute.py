@@ -1,6 +1,7 @@
 """Absolute pose of a camera above water with a measured vertical, by exact refractive reprojection errors."""
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.minimal.absolute_pose import unchecked_absolute_pose_2pt
@@ -27,7 +28,7 @@ class AbsolutePoseEstimator(PoseEstimator[OneView]):
         self.view = view
         self._rays = level_rays(view.plane, view.cam_from_level)
 
-    def solve(self, samples: Tensor) -> tuple[Tensor, Tensor]:
+    def solve(self, samples: Int[Tensor, "s 2"]) -> tuple[Float[Tensor, "s m 6"], Bool[Tensor, "s m"]]:
         rays, points, index = self._rays[samples], self.view.points[samples], self.view.index_ratio
         if self.view.known_heading is None:
             heading, center, valid = unchecked_absolute_pose_2pt(rays, points, index)
@@ -38,5 +39,5 @@ class AbsolutePoseEstimator(PoseEstimator[OneView]):
         tilt = torch.zeros_like(heading)[..., None].expand(*heading.shape, 2)
         return torch.cat((tilt, heading[..., None], center), dim=-1), valid
 
-    def degeneracy(self, model: Tensor, inliers: Tensor) -> str:
+    def degeneracy(self, model: Float[Tensor, " 6"], inliers: Bool[Tensor, " n"]) -> str:
         return explain_absolute(self.view.rows(inliers), model)

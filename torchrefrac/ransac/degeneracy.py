@@ -1,4 +1,4 @@
-"""When the matches that agree on a pose do not determine it: said from the information that they carry.
+"""Whether the matches that agree on a pose determine it, judged from the information that they carry.
 
 The covariance of the pose follows from its quadratic model, pixels of `pixel_sigma` and gravity as a prior. Where it is
 as large as the pose itself, any pose of a whole family explains the matches, and none is given. Both degenerate cases
@@ -8,6 +8,7 @@ of Chang & Chen (ICCV 2011, section 3.4.1) and refraction that is too weak show 
 import math
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.optim import covariance_of
@@ -17,8 +18,8 @@ MAX_UNCERTAINTY = 0.3
 NARROW = 0.02
 
 
-def explain_relative(views: TwoViews, model: Tensor) -> str:
-    """Why inlier matches do not determine the relative pose `model` (8); empty if they do."""
+def explain_relative(views: TwoViews, model: Float[Tensor, " 8"]) -> str:
+    """Why inlier matches do not determine the relative pose `model`; empty if they do."""
     everything = torch.ones(1, len(views), dtype=torch.bool, device=model.device)
     hessian = views.linearize(model[None], math.inf, everything).hessian[0]
     _, centers = views.poses(model[None])
@@ -30,8 +31,8 @@ def explain_relative(views: TwoViews, model: Tensor) -> str:
     return f"the position of the second camera is uncertain {much}: {_reason(views, model, centers[0])}"
 
 
-def explain_absolute(view: OneView, model: Tensor) -> str:
-    """Why inlier points do not determine the pose `model` (6); empty if they do."""
+def explain_absolute(view: OneView, model: Float[Tensor, " 6"]) -> str:
+    """Why inlier points do not determine the pose `model`; empty if they do."""
     hessian = view.linearize(model[None], math.inf).hessian[0]
     uncertainty = _sigma(hessian, view.pixel_sigma, 3) / float(model[5])
     if uncertainty <= MAX_UNCERTAINTY:
@@ -40,7 +41,7 @@ def explain_absolute(view: OneView, model: Tensor) -> str:
     return f"the position of the camera is uncertain {much}: the points lie too close together or on one vertical line"
 
 
-def _sigma(hessian: Tensor, pixel_sigma: float, last: int) -> float:
+def _sigma(hessian: Float[Tensor, "d d"], pixel_sigma: float, last: int) -> float:
     """Root of the summed variances of the last unknowns; infinite where the information is singular."""
     covariance, exists = covariance_of(hessian[None])
     if not bool(exists):
@@ -48,7 +49,7 @@ def _sigma(hessian: Tensor, pixel_sigma: float, last: int) -> float:
     return pixel_sigma * math.sqrt(float(covariance[0].diagonal()[-last:].sum()))
 
 
-def _reason(views: TwoViews, model: Tensor, centers: Tensor) -> str:
+def _reason(views: TwoViews, model: Float[Tensor, " 8"], centers: Float[Tensor, "2 3"]) -> str:
     """Which of the known cases it looks like."""
     points = views.points(model[None])[0][:, :2]
     middle, along = centers[:, :2].mean(dim=0), centers[1, :2] - centers[0, :2]

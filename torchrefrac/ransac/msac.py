@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.checks import require
@@ -21,7 +22,7 @@ Status = Literal["success", "too_few_data", "no_consensus", "degenerate"]
 
 
 class Estimator(Protocol):
-    """Models are rows of D numbers; data are numbered 0 ... num_data - 1. rows (n): some of the data; None: all."""
+    """Models are rows of D numbers; data are numbered 0 ... num_data - 1. rows: some of the data; None: all."""
 
     @property
     def sample_size(self) -> int: ...
@@ -34,26 +35,25 @@ class Estimator(Protocol):
         """How many samples without outliers it takes, on average, for one that is good enough to be optimised."""
         ...
 
-    def solve(self, samples: Tensor) -> tuple[Tensor, Tensor]:
-        """Candidates of minimal samples (S, sample_size): models (S, M, D), valid (S, M)."""
+    def solve(self, samples: Int[Tensor, "s size"]) -> tuple[Float[Tensor, "s m d"], Bool[Tensor, "s m"]]:
+        """Candidates of minimal samples: models, valid."""
         ...
 
-    def squared_errors(self, models: Tensor, rows: Tensor | None) -> Tensor:
-        """Squared error of each datum under each model, in the precision of the models: (H, D) -> (H, n).
-
-        Infinite where impossible.
-        """
+    def squared_errors(self, models: Float[Tensor, "k d"], rows: Int[Tensor, " n"] | None) -> Float[Tensor, "k n"]:
+        """Squared error of each datum under each model, in the precision of the models. Infinite where impossible."""
         ...
 
-    def optimize(self, models: Tensor, max_error: float, rows: Tensor | None, thorough: bool) -> tuple[Tensor, Tensor]:
-        """Models (K, D) improved on the data, and their costs (K): what the score is, and priors.
+    def optimize(
+        self, models: Float[Tensor, "k d"], max_error: float, rows: Int[Tensor, " n"] | None, thorough: bool
+    ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
+        """Models improved on the data, and their costs: what the score is, and priors.
 
         thorough: to convergence; otherwise as far as it takes to tell good starts from bad.
         """
         ...
 
-    def degeneracy(self, model: Tensor, inliers: Tensor) -> str:
-        """Why the inliers (num_data) do not determine the model (D), in a sentence; empty if they do."""
+    def degeneracy(self, model: Float[Tensor, " d"], inliers: Bool[Tensor, " n"]) -> str:
+        """Why the inliers do not determine the model, in a sentence; empty if they do."""
         ...
 
 
@@ -88,15 +88,15 @@ class RansacOptions:
 
 @dataclass(frozen=True)
 class RansacReport:
-    """What came out. `model` (D) and `inliers` (num_data) of a success; otherwise the model is empty.
+    """What came out. `model` and `inliers` of a success; otherwise the model is empty.
 
     inliers and cost are those of the best model also where there were too few of them, or they did not determine it;
     `detail` says why in a sentence.
     """
 
     status: Status
-    model: Tensor
-    inliers: Tensor
+    model: Float[Tensor, " d"]
+    inliers: Bool[Tensor, " n"]
     cost: float
     num_samples: int
     detail: str = ""
@@ -136,7 +136,7 @@ class _Search:
         self.model = torch.zeros(0)
         self.inliers = torch.zeros(estimator.num_data, dtype=torch.bool)
         self.cost = self.screened_cost = math.inf
-        self.rows: Tensor | None = None
+        self.rows: Int[Tensor, " n"] | None = None
         if estimator.num_data > 2 * options.screening_size:
             self.rows = torch.randperm(estimator.num_data, generator=generator)[: options.screening_size]
 
@@ -173,8 +173,8 @@ class _Search:
     def _without_model(self, status: Status, detail: str) -> RansacReport:
         return RansacReport(status, self.model[:0], self.inliers, self.cost, self.drawn, detail)
 
-    def _scores(self, models: Tensor) -> Tensor:
-        """Truncated sums (H) of squared errors of the screening data."""
+    def _scores(self, models: Float[Tensor, "k d"]) -> Float[Tensor, " k"]:
+        """Truncated sums of squared errors of the screening data."""
         limit = (self.options.screening_factor * self.options.max_error) ** 2
         size = self.estimator.num_data if self.rows is None else len(self.rows)
         parts = models.float().split(max(1, SCORE_ELEMENTS // size))
@@ -182,7 +182,7 @@ class _Search:
             [self.estimator.squared_errors(part, self.rows).clamp(max=limit).sum(dim=-1) for part in parts]
         )
 
-    def _take(self, model: Tensor, cost: float) -> None:
+    def _take(self, model: Float[Tensor, " d"], cost: float) -> None:
         self.model, self.cost = model, cost
         self.inliers = self.estimator.squared_errors(model[None], None)[0] < self.options.max_error**2
         hits = float(self.inliers.double().mean()) ** self.estimator.sample_size / self.estimator.samples_per_hit

@@ -3,6 +3,7 @@
 from typing import Generic, Protocol, TypeVar
 
 import torch
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from torchrefrac.ransac.stages import Refinable, Stages, refine_in_stages, tightened
@@ -15,14 +16,14 @@ class PoseData(Refinable, Protocol):
     """`TwoViews` or `OneView`."""
 
     @property
-    def focal(self) -> Tensor: ...
+    def focal(self) -> Float[Tensor, " 2"]: ...
 
     @property
     def gravity_sigma(self) -> float: ...
 
     def __len__(self) -> int: ...
 
-    def rows(self, rows: Tensor) -> "PoseData": ...
+    def rows(self, rows: Shaped[Tensor, " some"]) -> "PoseData": ...
 
     def single(self) -> "PoseData": ...
 
@@ -49,11 +50,13 @@ class PoseEstimator(Generic[D]):
         """Measured: near one while the vertical is good to 10 pixels, and growing with its squared error from there."""
         return 1.0 + (self._data.gravity_sigma * float(self._data.focal.mean()) / TILT_PX) ** 2
 
-    def squared_errors(self, models: Tensor, rows: Tensor | None) -> Tensor:
+    def squared_errors(self, models: Float[Tensor, "k d"], rows: Int[Tensor, " n"] | None) -> Float[Tensor, "k n"]:
         data = self._single if models.dtype == torch.float32 else self._data
         return (data if rows is None else data.rows(rows)).squared_errors(models)
 
-    def optimize(self, models: Tensor, max_error: float, rows: Tensor | None, thorough: bool) -> tuple[Tensor, Tensor]:
+    def optimize(
+        self, models: Float[Tensor, "k d"], max_error: float, rows: Int[Tensor, " n"] | None, thorough: bool
+    ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
         data = self._data if rows is None else self._data.rows(rows)
         models = refine_in_stages(data, models, max_error, self._thorough if thorough else self._quick)
         if thorough:

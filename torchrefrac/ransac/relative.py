@@ -1,6 +1,7 @@
 """Relative pose of two cameras above water with measured verticals, by their refractive epipolar errors."""
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.checks import require
@@ -36,7 +37,7 @@ class RelativePoseEstimator(PoseEstimator[TwoViews]):
     def sample_size(self) -> int:
         return 4 if self.views.known_heading is None else 3
 
-    def solve(self, samples: Tensor) -> tuple[Tensor, Tensor]:
+    def solve(self, samples: Int[Tensor, "s size"]) -> tuple[Float[Tensor, "s m 8"], Bool[Tensor, "s m"]]:
         rays1, rays2 = self._rays1[samples], self._rays2[samples]
         index, height = self.views.index_ratio, self.views.height
         if self.views.known_heading is None:
@@ -48,5 +49,5 @@ class RelativePoseEstimator(PoseEstimator[TwoViews]):
         tilts = torch.zeros_like(heading)[..., None].expand(*heading.shape, 4)
         return torch.cat((tilts, heading[..., None], center), dim=-1), valid
 
-    def degeneracy(self, model: Tensor, inliers: Tensor) -> str:
+    def degeneracy(self, model: Float[Tensor, " 8"], inliers: Bool[Tensor, " n"]) -> str:
         return explain_relative(self.views.rows(inliers), model)

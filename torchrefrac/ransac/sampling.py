@@ -1,11 +1,12 @@
 """Random samples without repetition, batched."""
 
 import torch
+from jaxtyping import Int
 from torch import Tensor
 
 
-def draw_samples(count: int, num_data: int, size: int, generator: torch.Generator) -> Tensor:
-    """Uniform random subsets (count, size) of 0 ... num_data - 1.
+def draw_samples(count: int, num_data: int, size: int, generator: torch.Generator) -> Int[Tensor, "{count} {size}"]:
+    """Uniform random subsets of 0 ... num_data - 1.
 
     Floyd's algorithm (Bentley & Floyd, CACM 1987): of the numbers up to j one is drawn, and j itself is taken in place
     of one that is in the sample already. On the device of the generator.

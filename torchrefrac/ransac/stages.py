@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Protocol
 
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.optim import SmallReport
@@ -16,21 +17,22 @@ Stages = Sequence[tuple[float, int]]
 class Refinable(Protocol):
     """Matches or points that models can be refined to: `TwoViews`, `OneView`."""
 
-    def squared_errors(self, models: Tensor) -> Tensor: ...
+    def squared_errors(self, models: Float[Tensor, "k d"]) -> Float[Tensor, "k n"]: ...
 
-    def refine(self, models: Tensor, max_error: float, max_iterations: int) -> SmallReport: ...
+    def refine(self, models: Float[Tensor, "k d"], max_error: float, max_iterations: int) -> SmallReport: ...
 
-    def costs(self, models: Tensor, max_error: float) -> Tensor: ...
+    def costs(self, models: Float[Tensor, "k d"], max_error: float) -> Float[Tensor, " k"]: ...
 
 
-def refine_in_stages(data: Refinable, models: Tensor, max_error: float, stages: Stages) -> Tensor:
-    """Refined models (K, D)."""
+def refine_in_stages(
+    data: Refinable, models: Float[Tensor, "k d"], max_error: float, stages: Stages
+) -> Float[Tensor, "k d"]:
     for widened, iterations in stages:
         models = data.refine(models, widened * max_error, iterations).states
     return models
 
 
-def tightened(squared_errors: Tensor, max_error: float) -> float:
+def tightened(squared_errors: Float[Tensor, "k n"], max_error: float) -> float:
     """Three robust standard deviations of the errors within max_error, in pixels.
 
     A wrong match within max_error weighs as much as many right ones. The standard deviation is 1.4826 times the median

@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from torchrefrac.geometry import triples
-from torchrefrac.geometry.triples import Triple
+from torchrefrac.geometry.triples import Part, Triple
+from torchrefrac.minimal.rays import require_matches
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
 from torchrefrac.refinement.priors import prior_costs, with_priors
 from torchrefrac.refinement.tilt import tilted_rotation, turn_by_tilt
@@ -21,30 +23,34 @@ from torchrefrac.refraction import apparent_height, apparent_height_partials, sc
 TILT, HEADING, CENTER, UNKNOWNS = slice(0, 2), 2, slice(3, 6), 6
 TENSORS = ("plane", "points", "cam_from_level", "focal", "index_ratio")
 TINY = 1e-30
+Models = Float[Tensor, "h 6"]
 
 
 @dataclass(frozen=True)
 class OneView:
-    """N points (N, 3) in the world and their ideal image coordinates plane (N, 2); cam_from_level (3, 3) from the
-    measured vertical, focal (2) in pixels, index_ratio (scalar).
+    """Points in the world and their ideal image coordinates plane; cam_from_level from the measured vertical, focal in
+    pixels.
 
     gravity_sigma: expected error of the vertical in radians; 0 takes it for exact, infinity leaves the tilt free.
     pixel_sigma weighs pixels against it. known_heading: in radians, where it was measured too.
     """
 
-    plane: Tensor
-    points: Tensor
-    cam_from_level: Tensor
-    focal: Tensor
-    index_ratio: Tensor
+    plane: Float[Tensor, "n 2"]
+    points: Float[Tensor, "n 3"]
+    cam_from_level: Float[Tensor, "3 3"]
+    focal: Float[Tensor, " 2"]
+    index_ratio: Float[Tensor, ""]
     gravity_sigma: float = 0.0
     pixel_sigma: float = 0.5
     known_heading: float | None = None
 
+    def __post_init__(self) -> None:
+        require_matches(self.plane, points=self.points)
+
     def __len__(self) -> int:
         return len(self.plane)
 
-    def rows(self, rows: Tensor) -> "OneView":
+    def rows(self, rows: Shaped[Tensor, " some"]) -> "OneView":
         """Some of the points."""
         return replace(self, plane=self.plane[rows], points=self.points[rows])
 
@@ -52,12 +58,12 @@ class OneView:
         """The same in single precision: enough to tell hypotheses apart."""
         return replace(self, **{name: getattr(self, name).float() for name in TENSORS})
 
-    def poses(self, models: Tensor) -> tuple[Tensor, Tensor]:
-        """Rotations (H, 3, 3) cam_from_world and centres (H, 3)."""
+    def poses(self, models: Models) -> tuple[Float[Tensor, "h 3 3"], Float[Tensor, "h 3"]]:
+        """Rotations cam_from_world and centres."""
         return tilted_rotation(self.cam_from_level, models[:, TILT], models[:, HEADING]), models[:, CENTER]
 
-    def squared_errors(self, models: Tensor) -> Tensor:
-        """Squared reprojection errors (H, N) in pixels under models (H, 6); inf where a point cannot be seen."""
+    def squared_errors(self, models: Models) -> Float[Tensor, "h n"]:
+        """Squared reprojection errors in pixels; inf where a point cannot be seen."""
         rotation, center = self.poses(models)
         (ux, uy), height, depth = self._offsets(triples.split(center[:, None]))
         distance_sq = torch.addcmul(ux * ux, uy, uy)
@@ -70,16 +76,16 @@ class OneView:
         v = torch.addcmul(py, y, inverse, value=-1.0) * fy
         return torch.where((z > 0.0) & (height > 0.0), torch.addcmul(u * u, v, v), torch.inf)
 
-    def costs(self, models: Tensor, max_error: float) -> Tensor:
-        """Truncated sums (H) of squared errors in pixels, and the prior on the tilt."""
+    def costs(self, models: Models, max_error: float) -> Float[Tensor, " h"]:
+        """Truncated sums of squared errors in pixels, and the prior on the tilt."""
         squares = self.squared_errors(models).clamp(max=max_error * max_error).sum(dim=-1)
         return squares + 2.0 * prior_costs(models, self.gravity_sigma, self.pixel_sigma)
 
-    def refine(self, models: Tensor, max_error: float, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
-        """Minimise the truncated cost from models (K, 6); points beyond max_error do not count."""
+    def refine(self, models: Models, max_error: float, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
+        """Minimise the truncated cost from models; points beyond max_error do not count."""
         return minimize_each(_Truncated(self, max_error), models, max_iterations, tolerance)
 
-    def linearize(self, models: Tensor, max_error: float) -> Quadratic:
+    def linearize(self, models: Models, max_error: float) -> Quadratic:
         """The cost in squared pixels, half a sum, and its quadratic model in the six unknowns."""
         rotation, center = self.poses(models)
         (ux, uy), height, depth = self._offsets(triples.split(center[:, None]))
@@ -114,13 +120,13 @@ class OneView:
         quadratic = Quadratic(cost, gradient, hessian)
         return with_priors(models, quadratic, self.gravity_sigma, self.pixel_sigma, self.known_heading is not None)
 
-    def _offsets(self, center: Triple) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
+    def _offsets(self, center: Triple) -> tuple[tuple[Part, Part], Part, Part]:
         """Horizontal offsets of the points from the centre, height of the camera and depth of the points."""
         px, py, pz = self._points
         return (px - center[0], py - center[1]), center[2], -pz
 
-    def _chart(self, models: Tensor) -> Tensor:
-        """Derivative (K, 6, 6) of the turn of the camera and its centre in the unknowns."""
+    def _chart(self, models: Models) -> Float[Tensor, "h 6 6"]:
+        """Derivative of the turn of the camera and its centre in the unknowns."""
         chart = models.new_zeros(len(models), 6, UNKNOWNS)
         chart[:, 0:3, 0:3] = turn_by_tilt(models[:, TILT], models[:, HEADING])
         chart[:, 3:6, CENTER] = torch.eye(3, dtype=models.dtype, device=models.device)
@@ -131,18 +137,18 @@ class OneView:
         return triples.split(self.points)
 
     @cached_property
-    def _plane(self) -> tuple[Tensor, Tensor]:
+    def _plane(self) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
         x, y = triples.components(self.plane)
         return x, y
 
 
-def _apply(row: Triple, offset: Triple) -> Tensor:
+def _apply(row: Triple, offset: Triple) -> Float[Tensor, "*batch"]:
     """One coordinate in the camera of an apparent offset (x, y, down)."""
     straight = torch.addcmul(row[0] * offset[0], row[1], offset[1])
     return torch.addcmul(straight, row[2], offset[2], value=-1.0)
 
 
-def _of_pose(g: Triple, offset: Triple, by_height: Tensor, by_square: Tensor) -> tuple[Tensor, ...]:
+def _of_pose(g: Triple, offset: Triple, by_height: Part, by_square: Part) -> tuple[Part, ...]:
     """Derivatives of a pixel coordinate in a turn about the axes of the world and in the centre.
 
     g: that in the apparent offset (x, y, z), whose z is -H; by_height, by_square: those of the apparent height H in the
@@ -159,5 +165,5 @@ class _Truncated:
     view: OneView
     max_error: float
 
-    def linearize(self, states: Tensor) -> Quadratic:
+    def linearize(self, states: Models) -> Quadratic:
         return self.view.linearize(states, self.max_error)

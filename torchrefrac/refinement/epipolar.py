@@ -14,40 +14,43 @@ found.
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.geometry import triples
-from torchrefrac.geometry.triples import Triple
+from torchrefrac.geometry.triples import Part, Triple
+
+Pair = tuple[Part, Part]
 
 
 class Views(NamedTuple):
-    """Cameras (*B) and the rays of pixels (*B, N): rotation as rows (*B, 1) each, center as components (*B, 1); plane:
-    the ideal image coordinates x, y (*B, N)."""
+    """Cameras and the rays of pixels: rotation as rows and center as components, with a last dimension of 1; plane: the
+    ideal image coordinates x, y, along that dimension."""
 
     rotation: tuple[Triple, Triple, Triple]
     center: Triple
-    plane: tuple[Tensor, Tensor]
+    plane: Pair
 
 
 class EpipolarError(NamedTuple):
     """error, signed, in pixels; depth below the surface at which the rays pass each other horizontally nearest; down:
-    whether both rays go down to the water. All (*B, N)."""
+    whether both rays go down to the water."""
 
-    error: Tensor
-    depth: Tensor
-    down: Tensor
+    error: Float[Tensor, "*batch n"]
+    depth: Float[Tensor, "*batch n"]
+    down: Bool[Tensor, "*batch n"]
 
     @property
-    def possible(self) -> Tensor:
-        """Whether the two rays can come from one point under water (*B, N)."""
+    def possible(self) -> Bool[Tensor, "*batch n"]:
+        """Whether the two rays can come from one point under water."""
         return self.down & (self.depth > 0.0)
 
 
 class EpipolarJacobian(NamedTuple):
     """error in pixels with its derivatives: in a turn of each camera about the axes of the world, R <- R exp([t]x), and
-    in each centre, all (*B, N)."""
+    in each centre."""
 
-    error: Tensor
+    error: Part
     turn: tuple[Triple, Triple]
     center: tuple[Triple, Triple]
 
@@ -56,22 +59,20 @@ class _Ray(NamedTuple):
     """v in the world, 1 / v_z, the slopes m in air and w in the water, 1 / g, and where the ray enters the water."""
 
     v: Triple
-    inverse_z: Tensor
-    m: tuple[Tensor, Tensor]
-    w: tuple[Tensor, Tensor]
-    inverse_g: Tensor
-    q: tuple[Tensor, Tensor]
+    inverse_z: Part
+    m: Pair
+    w: Pair
+    inverse_g: Part
+    q: Pair
 
 
-def epipolar_error(first: Views, second: Views, focal: tuple[Tensor, Tensor], index_ratio: Tensor) -> EpipolarError:
+def epipolar_error(first: Views, second: Views, focal: Pair, index_ratio: Float[Tensor, ""]) -> EpipolarError:
     """Error of matches in two views; focal (fx, fy) turns image coordinates into pixels."""
     seen = _constrain(first, second, focal, index_ratio)
     return EpipolarError(seen.value * seen.square.rsqrt(), seen.depth, seen.down)
 
 
-def epipolar_jacobian(
-    first: Views, second: Views, focal: tuple[Tensor, Tensor], index_ratio: Tensor
-) -> EpipolarJacobian:
+def epipolar_jacobian(first: Views, second: Views, focal: Pair, index_ratio: Float[Tensor, ""]) -> EpipolarJacobian:
     """Error of matches in two views and its derivatives in both cameras.
 
     Everything is linearised at the corrected pixels, where the rays meet (Gauss-Helmert). At the measured ones the
@@ -97,20 +98,21 @@ def epipolar_jacobian(
     return EpipolarJacobian(value * scale, (turn[0], turn[1]), (center[0], opposite))
 
 
-def meeting_points(first: Views, second: Views, index_ratio: Tensor) -> Tensor:
-    """Points (*B, N, 3) half way between the rays of each match where they pass each other horizontally nearest."""
-    excess = (index_ratio - 1.0) * (index_ratio + 1.0)
-    one, two = (_ray(view, index_ratio, excess) for view in (first, second))
-    depth = _depth(_between(one.q, two.q), _between(one.w, two.w))
-    x, y = (0.5 * (a + b - depth * (v + w)) for a, b, v, w in zip(one.q, two.q, one.w, two.w, strict=True))
-    return torch.stack((x, y, -depth), dim=-1)
+def rays_in_water(
+    view: Views, index_ratio: Float[Tensor, ""]
+) -> tuple[Float[Tensor, "*batch n 3"], Float[Tensor, "*batch n 3"]]:
+    """Where the rays enter the water, and their unit directions from there, upwards."""
+    ray = _ray(view, index_ratio, (index_ratio - 1.0) * (index_ratio + 1.0))
+    origins, slopes = torch.stack(ray.q, dim=-1), torch.stack(ray.w, dim=-1)
+    directions = torch.nn.functional.normalize(torch.nn.functional.pad(slopes, (0, 1), value=1.0), dim=-1)
+    return torch.nn.functional.pad(origins, (0, 1)), directions
 
 
-def _between(one: tuple[Tensor, Tensor], two: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+def _between(one: Pair, two: Pair) -> Pair:
     return one[0] - two[0], one[1] - two[1]
 
 
-def _depth(gap: tuple[Tensor, Tensor], spread: tuple[Tensor, Tensor]) -> Tensor:
+def _depth(gap: Pair, spread: Pair) -> Part:
     """Depth at which lines that enter the water `gap` apart and whose slopes differ by `spread` are nearest."""
     (gx, gy), (wx, wy) = gap, spread
     square = torch.addcmul(wx * wx, wy, wy).clamp(min=torch.finfo(wx.dtype).tiny)
@@ -121,17 +123,17 @@ class _Constraint(NamedTuple):
     """f, where the rays meet, whether they go down; the derivatives of f in both rays v, in both pixels and in q_1, and
     the sum of squares of those in pixels."""
 
-    value: Tensor
-    depth: Tensor
-    down: Tensor
+    value: Part
+    depth: Part
+    down: Bool[Tensor, "*#batch"]
     rays: tuple[_Ray, _Ray]
     by_v: tuple[Triple, Triple]
-    by_pixel: tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]
-    by_q: tuple[Tensor, Tensor]
-    square: Tensor
+    by_pixel: tuple[Pair, Pair]
+    by_q: Pair
+    square: Part
 
 
-def _constrain(first: Views, second: Views, focal: tuple[Tensor, Tensor], index_ratio: Tensor) -> _Constraint:
+def _constrain(first: Views, second: Views, focal: Pair, index_ratio: Float[Tensor, ""]) -> _Constraint:
     excess = (index_ratio - 1.0) * (index_ratio + 1.0)
     one, two = (_ray(view, index_ratio, excess) for view in (first, second))
     (gx, gy), (wx, wy) = gap, spread = _between(one.q, two.q), _between(one.w, two.w)
@@ -156,7 +158,7 @@ def _constrain(first: Views, second: Views, focal: tuple[Tensor, Tensor], index_
     )
 
 
-def _ray(view: Views, index_ratio: Tensor, excess: Tensor) -> _Ray:
+def _ray(view: Views, index_ratio: Float[Tensor, ""], excess: Float[Tensor, ""]) -> _Ray:
     x, y = view.plane
     first, second, third = view.rotation
     v = tuple(torch.addcmul(torch.addcmul(c, a, x), b, y) for a, b, c in zip(first, second, third, strict=True))
@@ -168,7 +170,7 @@ def _ray(view: Views, index_ratio: Tensor, excess: Tensor) -> _Ray:
     return _Ray((v[0], v[1], v[2]), inverse_z, (mx, my), (mx * inverse_g, my * inverse_g), inverse_g, q)
 
 
-def _by_ray(view: Views, ray: _Ray, sign: float, by_q: tuple, by_w: tuple, excess: Tensor) -> Triple:
+def _by_ray(view: Views, ray: _Ray, sign: float, by_q: Pair, by_w: Pair, excess: Float[Tensor, ""]) -> Triple:
     """Derivative of f in v, through m: q falls by c_z m, and dw/dm = 1/g - (n^2 - 1) m m^T / g^3."""
     (mx, my), (rx, ry) = ray.m, by_w
     bend = excess * ray.inverse_g.square() * torch.addcmul(mx * rx, my, ry)

@@ -5,18 +5,23 @@ is one on the length of t, and t = 0 is what the solvers with known vertical fin
 """
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.geometry import heading_rotation
 
 
-def tilted_rotation(cam_from_level: Tensor, tilt: Tensor, heading: Tensor) -> Tensor:
-    """cam_from_world (*B, 3, 3) of tilts (*B, 2) and headings (*B)."""
+def tilted_rotation(
+    cam_from_level: Float[Tensor, "*#batch 3 3"], tilt: Float[Tensor, "*#batch 2"], heading: Float[Tensor, "*#batch"]
+) -> Float[Tensor, "*batch 3 3"]:
+    """cam_from_world of tilts and headings."""
     return cam_from_level @ (_exp(tilt) @ heading_rotation(heading))
 
 
-def tilt_and_heading(cam_from_level: Tensor, cam_from_world: Tensor) -> tuple[Tensor, Tensor]:
-    """Tilt (*B, 2) and heading (*B) of rotations (*B, 3, 3); inverts `tilted_rotation` for tilts below pi."""
+def tilt_and_heading(
+    cam_from_level: Float[Tensor, "*#batch 3 3"], cam_from_world: Float[Tensor, "*#batch 3 3"]
+) -> tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch"]]:
+    """Tilt and heading of rotations; inverts `tilted_rotation` for tilts below pi."""
     level_from_world = cam_from_level.mT @ cam_from_world
     x, y, z = level_from_world[..., 2].unbind(dim=-1)
     length = torch.hypot(x, y)
@@ -26,8 +31,8 @@ def tilt_and_heading(cam_from_level: Tensor, cam_from_world: Tensor) -> tuple[Te
     return tilt, torch.atan2(turn[..., 1, 0], turn[..., 0, 0])
 
 
-def turn_by_tilt(tilt: Tensor, heading: Tensor) -> Tensor:
-    """Derivative (*B, 3, 3) of a turn about the axes of the world, R <- R exp([w]x), in (t_x, t_y, heading).
+def turn_by_tilt(tilt: Float[Tensor, "*batch 2"], heading: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3 3"]:
+    """Derivative of a turn about the axes of the world, R <- R exp([w]x), in (t_x, t_y, heading).
 
     The right Jacobian of exp at t (Chirikjian, "Stochastic Models, Information Theory, and Lie Groups", vol. 2, 2012,
     section 10.6), turned by the heading.
@@ -41,27 +46,18 @@ def turn_by_tilt(tilt: Tensor, heading: Tensor) -> Tensor:
     return heading_rotation(heading).mT @ torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
 
 
-def _exp(tilt: Tensor) -> Tensor:
+def _exp(tilt: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 3 3"]:
     """Rodrigues' formula about a horizontal axis."""
     x, y = tilt.unbind(dim=-1)
     angle_sq, sine, versine = _coefficients(x, y)
     mixed = versine * x * y
     up, right = sine * y, sine * x
-    rows = (
-        1.0 - versine * y * y,
-        mixed,
-        up,
-        mixed,
-        1.0 - versine * x * x,
-        -right,
-        -up,
-        right,
-        1.0 - versine * angle_sq,
-    )
+    diagonal = 1.0 - versine * y * y, 1.0 - versine * x * x, 1.0 - versine * angle_sq
+    rows = (diagonal[0], mixed, up, mixed, diagonal[1], -right, -up, right, diagonal[2])
     return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
 
 
-def _coefficients(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _coefficients(x: Float[Tensor, "*batch"], y: Float[Tensor, "*batch"]) -> tuple[Float[Tensor, "*batch"], ...]:
     """Squared angle a^2, sin(a) / a and (1 - cos(a)) / a^2, smooth at zero."""
     angle_sq = torch.addcmul(x * x, y, y)
     turns = (angle_sq + torch.finfo(x.dtype).tiny).sqrt() / torch.pi  # never at the corner of the root

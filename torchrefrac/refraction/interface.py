@@ -7,15 +7,19 @@ from operator import or_
 from typing import Any
 
 import torch
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from torchrefrac.checks import holds_everywhere, require, require_broadcasting, require_floating
 from torchrefrac.geometry import Plane
+from torchrefrac.geometry.triples import Part, Vectors
 from torchrefrac.numerics import like, pick
 from torchrefrac.refraction.water import FRESH_WATER
 
 GLASS = 1.52
-Number = Tensor | float
+Number = Part | float
+Parameter = Float[Tensor, "..."]  # a part or vectors
+Unchecked = Shaped[Tensor, "..."] | float
 
 
 def _water_level() -> Plane:
@@ -37,14 +41,14 @@ class FlatInterface:
     last / first.
 
     moves_with_camera: the plane is fixed to the camera and given in its frame (x right, y down, z forward), as for a
-    flat port. Each value is a number or a tensor (*B) that broadcasts against the camera's batch. Raises ValueError,
+    flat port. Each value is a number or a tensor that broadcasts against the camera's batch. Raises ValueError,
     naming the argument, for an index below 1, a negative thickness, or values that are not finite. check=False is for
     copies of what has been checked.
     """
 
     index_ratio: Number | None = None
-    layers: Sequence[Number] | Tensor | None = None
-    thickness: Sequence[Number] | Tensor = ()
+    layers: Sequence[Number] | Float[Tensor, "*#batch layers"] | None = None
+    thickness: Sequence[Number] | Float[Tensor, "*#batch inner"] = ()
     plane: Plane = field(default_factory=_water_level)
     moves_with_camera: bool = False
     check: InitVar[bool] = True
@@ -69,6 +73,7 @@ class FlatInterface:
         _require_all(thickness, "thickness", at_least=0.0)
         for name, value in (("index_ratio", index_ratio), ("layers", layers), ("thickness", thickness)):
             object.__setattr__(self, name, value)
+        _ = self.shape
 
     @classmethod
     def glass_wall(
@@ -123,9 +128,9 @@ class FlatInterface:
         numbers = [float(n) for n in self.indices if not isinstance(n, Tensor)]
         return len(numbers) == len(self.indices) and numbers[0] == min(numbers)
 
-    def parameters(self, reference: Tensor) -> list[Tensor]:
-        """Unit normal (*B, 3), offset, the index of each layer and the thickness of those between the first and the
-        last (*B), in the dtype and on the device of `reference`."""
+    def parameters(self, reference: Float[Tensor, "..."]) -> list[Parameter]:
+        """Unit normal, offset, the index of each layer and the thickness of those between the first and the last, in
+        the dtype and on the device of `reference`."""
         numbers = (self.plane.offset, *self.indices, *self.thickness)
         return [self.plane.normal_like(reference), *(like(value, reference) for value in numbers)]
 
@@ -135,12 +140,12 @@ class FlatInterface:
             return replace(self, index_ratio=index_ratio)
         return replace(self, index_ratio=None, layers=(*self.indices[:-1], index_ratio * self.indices[0]))
 
-    def refracts(self) -> Tensor:
-        """Mask (*B): False where all media have the same index."""
+    def refracts(self) -> Bool[Tensor, "*batch"]:
+        """Mask: False where all media have the same index."""
         first, *others = self.indices
         return torch.as_tensor(reduce(or_, (index != first for index in others)))
 
-    def index_like(self, reference: Tensor) -> Tensor:
+    def index_like(self, reference: Float[Tensor, "..."]) -> Float[Tensor, "*batch"]:
         """The index ratio in the dtype and on the device of `reference`."""
         assert self.index_ratio is not None
         return like(self.index_ratio, reference)
@@ -176,23 +181,23 @@ class FlatInterface:
         )
 
 
-def parameter_dims(parameters: Sequence[Tensor]) -> tuple[int, ...]:
+def parameter_dims(parameters: Sequence[Parameter]) -> tuple[int, ...]:
     """How many dimensions of each of `FlatInterface.parameters` belong to one element: the normal's components."""
     return 1, *(0 for _ in parameters[1:])
 
 
-def split_parameters(parameters: Sequence[Tensor]) -> tuple[Tensor, Tensor, Sequence[Tensor], Sequence[Tensor]]:
+def split_parameters(parameters: Sequence[Parameter]) -> tuple[Vectors, Part, Sequence[Part], Sequence[Part]]:
     """Normal, offset, indices and thickness out of the list that `FlatInterface.parameters` gave."""
     normal, offset, *layers = parameters
     count = len(layers) // 2 + 1
     return normal, offset, layers[:count], layers[count:]
 
 
-def _tuple_of(values: Sequence[Number] | Tensor) -> tuple[Number, ...]:
+def _tuple_of(values: Sequence[Unchecked] | Shaped[Tensor, "*batch n"]) -> tuple[Unchecked, ...]:
     return values.unbind(dim=-1) if isinstance(values, Tensor) else tuple(values)
 
 
-def _require_all(values: Sequence[Number], name: str, at_least: float) -> None:
+def _require_all(values: Sequence[Unchecked], name: str, at_least: float) -> None:
     for value in values:
         require_floating(value, name)
         require(value, name, at_least=at_least)

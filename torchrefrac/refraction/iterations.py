@@ -18,7 +18,10 @@ from collections.abc import Iterable, Sequence
 from functools import reduce
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
+
+from torchrefrac.geometry.triples import Part
 
 TANGENTS = tuple((m**3 * (1.0 + m * m) ** -1.5, (1.0 + m * m) ** -1.5) for m in (1.2, 4.0, 16.0))
 
@@ -31,9 +34,7 @@ CLIMBS = 3
 class Equation:
     """F and what all its evaluations share."""
 
-    def __init__(
-        self, distance_sq: Tensor, clear: Tensor, thickness: Sequence[Tensor], index: Sequence[Tensor]
-    ) -> None:
+    def __init__(self, distance_sq: Part, clear: Part, thickness: Sequence[Part], index: Sequence[Part]) -> None:
         self.distance_sq, self.clear, self.thickness, self.index = distance_sq, clear, thickness, index
         self.index_sq = [n * n for n in index]
         self.depth_index_sq = [d * n_sq for d, n_sq in zip(thickness, self.index_sq, strict=True)]
@@ -44,8 +45,8 @@ class Equation:
         return Equation(distance_sq, clear, [d.double() for d in self.thickness], [n.double() for n in self.index])
 
 
-def find_root(equation: Equation, method: str) -> Tensor:
-    """The root s (*B): Halley's or Newton's method from `lower_bound`.
+def find_root(equation: Equation, method: str) -> Float[Tensor, "*batch"]:
+    """The root s: Halley's or Newton's method from `lower_bound`.
 
     In single precision the last step is Halley's in double: for deep water seen at a grazing angle the rounding
     of w alone costs a factor of fifty.
@@ -62,8 +63,13 @@ def find_root(equation: Equation, method: str) -> Tensor:
     return s
 
 
-def screening_height(distance_sq: Tensor, height: Tensor, depth: Tensor, index_ratio: Tensor) -> Tensor:
-    """Apparent height (*B) over one water surface for comparing many hypotheses: values only, in the dtype given.
+def screening_height(
+    distance_sq: Part,
+    height: Part,
+    depth: Part,
+    index_ratio: Part,
+) -> Float[Tensor, "*batch"]:
+    """Apparent height over one water surface for comparing many hypotheses: values only, in the dtype given.
 
     height > 0, depth >= 0. Two Halley steps: up to 85 degrees a relative error below 1e-6 in float32 and 1e-10 in
     float64 for depth/height within 10^+-1, below 2e-6 and 3e-9 within 10^+-2.
@@ -75,7 +81,7 @@ def screening_height(distance_sq: Tensor, height: Tensor, depth: Tensor, index_r
     return s.reciprocal()
 
 
-def lower_bound(equation: Equation) -> Tensor:
+def lower_bound(equation: Equation) -> Float[Tensor, "*batch"]:
     """The largest of five lower bounds of s."""
     clear = equation.clear
     tiny = torch.finfo(clear.dtype).tiny
@@ -89,7 +95,7 @@ def lower_bound(equation: Equation) -> Tensor:
     return best
 
 
-def _climb(s: Tensor, equation: Equation) -> Tensor:
+def _climb(s: Float[Tensor, "*batch"], equation: Equation) -> Float[Tensor, "*batch"]:
     """A better lower bound from a lower bound, for stacks.
 
     Where a thin layer of the rarest medium lies beside a nearly as rare one, F has a second knee that Halley may jump
@@ -104,18 +110,20 @@ def _climb(s: Tensor, equation: Equation) -> Tensor:
     return s
 
 
-def _halley_step(s: Tensor, equation: Equation) -> Tensor:
+def _halley_step(s: Float[Tensor, "*batch"], equation: Equation) -> Float[Tensor, "*batch"]:
     residual, slope, bend = _evaluate(s, equation)
     denominator = torch.addcmul(slope * slope, residual, bend)
     return torch.addcdiv(s, residual.mul_(slope), denominator, value=-1.0)
 
 
-def _newton_step(s: Tensor, equation: Equation) -> Tensor:
+def _newton_step(s: Float[Tensor, "*batch"], equation: Equation) -> Float[Tensor, "*batch"]:
     residual, slope, _ = _evaluate(s, equation)
     return s - residual / slope
 
 
-def _evaluate(s: Tensor, equation: Equation) -> tuple[Tensor, Tensor, Tensor]:
+def _evaluate(
+    s: Float[Tensor, "*batch"], equation: Equation
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
     """F, dF/ds and -1/2 d2F/ds2. In place wherever a tensor follows from s, which has the full shape."""
     value, slope, bend = equation.clear, equation.clear, None
     terms = zip(equation.thickness, equation.index_sq, equation.depth_index_sq, equation.excess, strict=True)
@@ -132,5 +140,5 @@ def _evaluate(s: Tensor, equation: Equation) -> tuple[Tensor, Tensor, Tensor]:
     return value.mul_(s).sub_(1.0), slope, bend.mul_(1.5)
 
 
-def _sum(terms: Iterable[Tensor]) -> Tensor:
+def _sum(terms: Iterable[Part]) -> Float[Tensor, "*batch"]:
     return reduce(torch.add, terms)

@@ -21,8 +21,10 @@ from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
+from torchrefrac.geometry.triples import Part
 from torchrefrac.refraction.iterations import Equation, find_root
 from torchrefrac.refraction.quartic import refrax_ratio_companion
 
@@ -31,22 +33,22 @@ METHODS = ("halley", "newton", "companion")
 
 
 class HeightPartials(NamedTuple):
-    """Derivatives (*B) of an apparent height: in D, in `clear`, in the thickness and the index of every layer."""
+    """Derivatives of an apparent height: in D, in `clear`, in the thickness and the index of every layer."""
 
-    by_distance_sq: Tensor
-    by_clear: Tensor
-    by_thickness: tuple[Tensor, ...]
-    by_index: tuple[Tensor, ...]
+    by_distance_sq: Part
+    by_clear: Part
+    by_thickness: tuple[Part, ...]
+    by_index: tuple[Part, ...]
 
 
 def apparent_slope(
-    distance_sq: Tensor,
-    clear: Tensor,
-    thickness: Sequence[Tensor],
-    index: Sequence[Tensor],
+    distance_sq: Part,
+    clear: Part,
+    thickness: Sequence[Part],
+    index: Sequence[Part],
     method: Method = "halley",
-) -> Tensor:
-    """s (*B), the tangent of the ray's angle in the rarest medium over the horizontal distance.
+) -> Float[Tensor, "*batch"]:
+    """s, the tangent of the ray's angle in the rarest medium over the horizontal distance.
 
     distance_sq: square of the horizontal distance; clear >= 0: way through the rarest medium along the vertical, as far
     as that medium is known; thickness >= 0 of each other layer, and index >= 1 of each relative to the rarest: 1 for
@@ -63,25 +65,25 @@ def apparent_slope(
 
 
 def apparent_height(
-    distance_sq: Tensor,
-    clear: Tensor,
-    thickness: Sequence[Tensor],
-    index: Sequence[Tensor],
+    distance_sq: Part,
+    clear: Part,
+    thickness: Sequence[Part],
+    index: Sequence[Part],
     method: Method = "halley",
-) -> Tensor:
-    """G = 1/s (*B), how far below a camera in the rarest medium the point appears to be; see `apparent_slope`."""
+) -> Float[Tensor, "*batch"]:
+    """G = 1/s, how far below a camera in the rarest medium the point appears to be; see `apparent_slope`."""
     return apparent_slope(distance_sq, clear, thickness, index, method).reciprocal()
 
 
 def apparent_height_partials(
-    apparent: Tensor, distance_sq: Tensor, clear: Tensor, thickness: Sequence[Tensor], index: Sequence[Tensor]
+    apparent: Part, distance_sq: Part, clear: Part, thickness: Sequence[Part], index: Sequence[Part]
 ) -> HeightPartials:
     """Derivatives of G = `apparent`, in closed form."""
     return _partials(apparent.reciprocal(), apparent, distance_sq, clear, thickness, index)
 
 
 def _partials(
-    s: Tensor, scale: Tensor, distance_sq: Tensor, clear: Tensor, thickness: Sequence[Tensor], index: Sequence[Tensor]
+    s: Part, scale: Part, distance_sq: Part, clear: Part, thickness: Sequence[Part], index: Sequence[Part]
 ) -> HeightPartials:
     """Those of G for scale = G, those of s = 1/G for scale = -s."""
     s_sq = s * s
@@ -110,7 +112,7 @@ class _Slope(torch.autograd.Function):
     generate_vmap_rule = True
 
     @staticmethod
-    def forward(method: Method, distance_sq: Tensor, clear: Tensor, *layers: Tensor) -> Tensor:
+    def forward(method: Method, distance_sq: Part, clear: Part, *layers: Part) -> Float[Tensor, "*batch"]:
         thickness, index = _halves(layers)
         if method == "companion":
             return refrax_ratio_companion(clear, thickness[0], distance_sq, index[0]) / clear
@@ -119,12 +121,12 @@ class _Slope(torch.autograd.Function):
         return find_root(Equation(distance_sq, clear, thickness, index), method)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Float[Tensor, "*batch"]) -> None:
         ctx.save_for_backward(output, *inputs[1:])
         ctx.save_for_forward(output, *inputs[1:])
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, *grads: Float[Tensor, "*batch"]) -> tuple[Part | None, ...]:
         return None, *(grads[0] * partial for partial in _saved_partials(ctx))
 
 
@@ -137,20 +139,18 @@ class _ForwardDifferentiable(_Slope):
         return sum(tangent * partial for tangent, partial in pairs if tangent is not None)
 
 
-def _saved_partials(ctx: Any) -> list[Tensor]:
+def _saved_partials(ctx: Any) -> list[Part]:
     s, distance_sq, clear, *layers = ctx.saved_tensors
     partials = _partials(s, -s, distance_sq, clear, *_halves(layers))
     return [partials.by_distance_sq, partials.by_clear, *partials.by_thickness, *partials.by_index]
 
 
-def _halves(layers: Sequence[Tensor]) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
+def _halves(layers: Sequence[Part]) -> tuple[Sequence[Part], Sequence[Part]]:
     half = len(layers) // 2
     return layers[:half], layers[half:]
 
 
-def _split_off_the_rarest(
-    clear: Tensor, thickness: Sequence[Tensor], index: Sequence[Tensor]
-) -> tuple[Tensor, list[Tensor]]:
+def _split_off_the_rarest(clear: Part, thickness: Sequence[Part], index: Sequence[Part]) -> tuple[Part, list[Part]]:
     """Thickness of the layers of index 1 moved to `clear`: the start of the iteration needs it there."""
     dense = []
     for d, n in zip(thickness, index, strict=True):

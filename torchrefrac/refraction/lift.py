@@ -1,25 +1,27 @@
-"""Points lifted to where they appear to be: refraction as a change of the point, before any lens.
+"""Points lifted to where they appear to be: refraction as a change of the point, before the pinhole.
 
 Seen from the centre c through layers with the unit normal n, the point p appears in the direction of
 offset = u - H n: u is the part of p - c along the layers, H the apparent height (see `layers`). A pinhole that
 looks along `offset` completes the exact projection (Chang & Chen, ICCV 2011, Eq. 21, for one water surface).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.geometry import triples
-from torchrefrac.geometry.triples import Triple
+from torchrefrac.geometry.triples import Mask, Part, Triple, Vectors
 from torchrefrac.numerics import in_blocks, in_double
-from torchrefrac.refraction.interface import FlatInterface, parameter_dims, split_parameters
+from torchrefrac.numerics.blocks import Tensors
+from torchrefrac.refraction.interface import FlatInterface, Parameter, parameter_dims, split_parameters
 from torchrefrac.refraction.layers import HeightPartials, apparent_height, apparent_height_partials
 
 
 class Sight(NamedTuple):
-    """A camera, a point and the layers between them; everything (*B) or three of them.
+    """A camera, a point and the layers between them.
 
     height: of the camera above the first surface; beyond: of the point below it, negative on the camera's side;
     along: p - c along the normal; horizontal: the rest of p - c; distance_sq: its square; bent: whether light is
@@ -30,31 +32,33 @@ class Sight(NamedTuple):
     center: Triple
     point: Triple
     normal: Triple
-    height: Tensor
-    beyond: Tensor
-    along: Tensor
+    height: Part
+    beyond: Part
+    along: Part
     horizontal: Triple
-    distance_sq: Tensor
-    bent: Tensor
-    safe_height: Tensor
-    thickness: list[Tensor]
-    index: list[Tensor]
-    ends_here: list[Tensor]
+    distance_sq: Part
+    bent: Mask
+    safe_height: Part
+    thickness: list[Part]
+    index: list[Part]
+    ends_here: list[Mask]
 
 
 class Lift(NamedTuple):
-    """Apparent height H (*B) and its derivatives: in the camera's height above the first surface, in the point's depth
+    """Apparent height H and its derivatives: in the camera's height above the first surface, in the point's depth
     below it, in the squared horizontal distance, and in the index of every later layer relative to the camera's."""
 
-    height: Tensor
-    by_height: Tensor
-    by_depth: Tensor
-    by_distance_sq: Tensor
-    by_index: list[Tensor]
+    height: Part
+    by_height: Part
+    by_depth: Part
+    by_distance_sq: Part
+    by_index: list[Part]
 
 
-def lift_points(center: Tensor, points: Tensor, interface: FlatInterface) -> tuple[Tensor, Tensor]:
-    """Apparent offset (*B, 3) of points (*B, 3) seen from `center` (*B, 3), and a validity mask (*B).
+def lift_points(
+    center: Vectors, points: Vectors, interface: FlatInterface
+) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+    """Apparent offset of points seen from `center`, and a validity mask.
 
     All in the interface's frame. Points on the camera's side of the first surface are seen where they are. An entry
     that is not valid (centre not on the camera's side) gets the straight offset. Without refraction the offset is
@@ -66,7 +70,7 @@ def lift_points(center: Tensor, points: Tensor, interface: FlatInterface) -> tup
         offset = (points - center).expand((*batch, 3))
         return offset, torch.ones_like(offset[..., 0], dtype=torch.bool)
 
-    def lift(center: Tensor, points: Tensor, *parameters: Tensor) -> tuple[Tensor, Tensor]:
+    def lift(center: Vectors, points: Vectors, *parameters: Parameter) -> tuple[Vectors, Mask]:
         sight = look(triples.split(center), triples.split(points), parameters)
         height = solve_height(sight, interface.camera_in_rarest)
         return torch.stack(offset_components(sight, height), dim=-1), is_valid(sight, height)
@@ -77,12 +81,12 @@ def lift_points(center: Tensor, points: Tensor, interface: FlatInterface) -> tup
     return offset, valid
 
 
-def precise(function: Callable[..., tuple[Tensor, ...]], interface: FlatInterface) -> Callable[..., tuple[Tensor, ...]]:
+def precise(function: Tensors, interface: FlatInterface) -> Tensors:
     """`function` of sight lines in the precision that the interface asks for: double for stacks, see `lift_points`."""
     return function if interface.layers is None else in_double(function)
 
 
-def look(center: Triple, point: Triple, parameters: Sequence[Tensor]) -> Sight:
+def look(center: Triple, point: Triple, parameters: Sequence[Parameter]) -> Sight:
     """Take the sight line apart; `parameters` are those of `FlatInterface.parameters`."""
     normal, offset, (first, *index), inner = split_parameters(parameters)
     n = triples.split(normal)
@@ -115,8 +119,8 @@ def look(center: Triple, point: Triple, parameters: Sequence[Tensor]) -> Sight:
     )
 
 
-def solve_height(sight: Sight, camera_in_rarest: bool) -> Tensor:
-    """Apparent height H (*B); where nothing is refracted that of the straight line, to the last bit."""
+def solve_height(sight: Sight, camera_in_rarest: bool) -> Float[Tensor, "*batch"]:
+    """Apparent height H; where nothing is refracted that of the straight line, to the last bit."""
     apparent, _, reference = _solve(sight, camera_in_rarest)
     return _finish(sight, _seen_from_camera(sight, apparent, reference))
 
@@ -142,17 +146,17 @@ def solve_height_with_partials(sight: Sight, camera_in_rarest: bool) -> Lift:
     )
 
 
-def offset_components(sight: Sight, height: Tensor) -> Triple:
+def offset_components(sight: Sight, height: Part) -> Triple:
     """u - H n."""
     return triples.add_scaled(sight.horizontal, height, sight.normal, sign=-1.0)
 
 
-def is_valid(sight: Sight, height: Tensor) -> Tensor:
-    """Mask (*B): the camera stands on its side of the first surface, or nothing refracts."""
+def is_valid(sight: Sight, height: Part) -> Bool[Tensor, "*batch"]:
+    """Mask: the camera stands on its side of the first surface, or nothing refracts."""
     return ((sight.height > 0) | _same_media(sight)) & height.isfinite()
 
 
-def _solve(sight: Sight, camera_in_rarest: bool) -> tuple[Tensor, tuple, Tensor | None]:
+def _solve(sight: Sight, camera_in_rarest: bool) -> tuple[Part, tuple[Part, Part, list[Part], list[Part]], Part | None]:
     """G, the terms it was solved from, and the index of the camera's medium relative to the rarest (None: 1)."""
     if camera_in_rarest:
         terms = (sight.distance_sq, sight.safe_height, sight.thickness, sight.index)
@@ -167,7 +171,7 @@ def _solve(sight: Sight, camera_in_rarest: bool) -> tuple[Tensor, tuple, Tensor 
     return apparent_height(*terms), terms, index[0]
 
 
-def _seen_from_camera(sight: Sight, apparent: Tensor, reference: Tensor | None) -> Tensor:
+def _seen_from_camera(sight: Sight, apparent: Part, reference: Part | None) -> Float[Tensor, "*batch"]:
     if reference is None:
         return apparent
     excess = (reference - 1.0) * (reference + 1.0)
@@ -175,8 +179,8 @@ def _seen_from_camera(sight: Sight, apparent: Tensor, reference: Tensor | None) 
 
 
 def _chain(
-    partials: HeightPartials, sight: Sight, apparent: Tensor, height: Tensor, reference: Tensor
-) -> tuple[Tensor, list[Tensor], list[Tensor], Tensor]:
+    partials: HeightPartials, sight: Sight, apparent: Part, height: Part, reference: Part
+) -> tuple[Part, list[Part], list[Part], Part]:
     """From derivatives of G to those of H = sqrt(n_0^2 G^2 + (n_0^2 - 1) D), n_0 = `reference`.
 
     H depends on ratios of indices only, so its derivative in n_i / n_0 is n_0 times that in n_i.
@@ -188,14 +192,14 @@ def _chain(
     return by_height, by_layer, by_index, slope * partials.by_distance_sq + 0.5 * excess / height
 
 
-def _finish(sight: Sight, height: Tensor) -> Tensor:
+def _finish(sight: Sight, height: Part) -> Float[Tensor, "*batch"]:
     """The straight line's height where nothing is refracted; its derivative in the index survives there."""
     straight = -sight.along
     exact = torch.where(_same_media(sight), height + (straight - height).detach(), height)
     return torch.where(sight.bent, exact, straight)
 
 
-def _same_media(sight: Sight) -> Tensor:
+def _same_media(sight: Sight) -> Bool[Tensor, "*batch"]:
     same = sight.index[0] == 1.0
     for n in sight.index[1:]:
         same = same & (n == 1.0)

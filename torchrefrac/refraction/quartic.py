@@ -1,13 +1,15 @@
 """The paper's quartic for the refrax ratio, solved as an eigenvalue problem: the oracle of the iterations."""
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
+from torchrefrac.geometry.triples import Part
 from torchrefrac.numerics import real_roots
 
 
-def refrax_ratio_companion(height: Tensor, depth: Tensor, distance_sq: Tensor, index_ratio: Tensor) -> Tensor:
-    """Refrax ratio (*B) from Eq. 4 of Chang & Chen (ICCV 2011), with +h^2 as its constant term.
+def refrax_ratio_companion(height: Part, depth: Part, distance_sq: Part, index_ratio: Part) -> Float[Tensor, "*batch"]:
+    """Refrax ratio from Eq. 4 of Chang & Chen (ICCV 2011), with +h^2 as its constant term.
 
     Solved for mu = 1/lambda: h^2 mu^4 - 2 h^2 mu^3 + (N a^2 + h^2 - d^2/n^2) mu^2 - 2 N a^2 mu + N a^2 = 0 with
     N = 1 - 1/n^2 and D = a^2. Its leading coefficient never vanishes, whereas that of Eq. 4 does at nadir
@@ -28,8 +30,10 @@ def refrax_ratio_companion(height: Tensor, depth: Tensor, distance_sq: Tensor, i
     return candidate.gather(-1, best)[..., 0]
 
 
-def _snell_violation(ratio: Tensor, depth: Tensor, distance_sq: Tensor, index_ratio: Tensor) -> Tensor:
-    """sin(air) - n sin(water), times both slant lengths over the distance; height 1; ratio (*B, 4)."""
+def _snell_violation(
+    ratio: Float[Tensor, "*#batch 4"], depth: Part, distance_sq: Part, index_ratio: Part
+) -> Float[Tensor, "*batch 4"]:
+    """sin(air) - n sin(water), times both slant lengths over the distance; height 1."""
     depth, distance_sq, index_ratio = depth[..., None], distance_sq[..., None], index_ratio[..., None]
     rest = 1.0 - ratio
     in_water = (rest.square() * distance_sq + depth.square()).sqrt()

@@ -1,23 +1,27 @@
 """Back projection: rays bent at flat layers (Chang & Chen, ICCV 2011, Eq. 6 to 9, for one water surface)."""
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.geometry import triples
+from torchrefrac.geometry.triples import Mask, Vectors
 from torchrefrac.numerics import in_blocks
-from torchrefrac.refraction.interface import FlatInterface, parameter_dims, split_parameters
+from torchrefrac.refraction.interface import FlatInterface, Parameter, parameter_dims, split_parameters
 
 
-def refract_rays(center: Tensor, direction: Tensor, interface: FlatInterface) -> tuple[Tensor, Tensor, Tensor]:
+def refract_rays(
+    center: Vectors, direction: Vectors, interface: FlatInterface
+) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
     """Follow viewing rays through all layers of the interface, in its frame.
 
-    center (*B, 3), on the camera's side; direction (*B, 3) in the camera's medium, of any length. Returns where the ray
-    enters the last medium (*B, 3), its unit direction there (*B, 3), and a mask (*B): False where the ray does not
-    go towards the interface, is totally reflected on the way, or starts on the wrong side. There the ray is
-    returned as it came, from the centre. Without refraction every ray that meets the plane is valid.
+    center: on the camera's side; direction: in the camera's medium, of any length. Returns where the ray enters the
+    last medium, its unit direction there, and a mask: False where the ray does not go towards the interface, is totally
+    reflected on the way, or starts on the wrong side. There the ray is returned as it came, from the centre. Without
+    refraction every ray that meets the plane is valid.
     """
 
-    def refract(center: Tensor, direction: Tensor, *parameters: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def refract(center: Vectors, direction: Vectors, *parameters: Parameter) -> tuple[Vectors, Vectors, Mask]:
         normal, offset, (first, *index), thickness = split_parameters(parameters)
         n, c = triples.split(normal), triples.split(center)
         v = triples.split(direction)

@@ -1,19 +1,21 @@
 """The refrax ratio of one water surface (Chang & Chen, ICCV 2011, section 3.2)."""
 
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.checks import require
+from torchrefrac.geometry.triples import Part
 from torchrefrac.numerics import alike, in_blocks
 from torchrefrac.refraction.layers import METHODS, Method, apparent_slope
 
 
 def solve_refrax(
-    height: Tensor | float,
-    depth: Tensor | float,
-    distance: Tensor | float,
-    index_ratio: Tensor | float,
+    height: Part | float,
+    depth: Part | float,
+    distance: Part | float,
+    index_ratio: Part | float,
     method: Method = "halley",
-) -> Tensor:
+) -> Float[Tensor, "*batch"]:
     """Refrax ratio lambda in (0, 1]: horizontal (camera to refrax) / (camera to point).
 
     height > 0: camera above the water; depth >= 0: point below the water; distance >= 0: horizontal, all in
@@ -35,7 +37,7 @@ def solve_refrax(
     require(distance, "distance", at_least=0.0)
     require(index_ratio, "index_ratio", at_least=1.0)
 
-    def solve(h: Tensor, d: Tensor, a: Tensor, n: Tensor) -> tuple[Tensor]:
+    def solve(h: Part, d: Part, a: Part, n: Part) -> tuple[Part]:
         return (h * apparent_slope(a * a, h, (d,), (n,), method),)
 
     return in_blocks(solve, values, event_dims=(0, 0, 0, 0), result_dims=(0,))[0]

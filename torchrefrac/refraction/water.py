@@ -2,9 +2,11 @@
 
 from typing import Final
 
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.checks import require
+from torchrefrac.geometry.triples import Part
 from torchrefrac.numerics import alike
 
 FRESH_WATER: Final = 1.333
@@ -13,8 +15,8 @@ RANGES = {"temperature_c": (0.0, 30.0), "salinity_psu": (0.0, 35.0), "wavelength
 
 
 def water_index(
-    temperature_c: Tensor | float = 20.0, salinity_psu: Tensor | float = 0.0, wavelength_nm: Tensor | float = 589.3
-) -> Tensor:
+    temperature_c: Part | float = 20.0, salinity_psu: Part | float = 0.0, wavelength_nm: Part | float = 589.3
+) -> Float[Tensor, "*batch"]:
     """Refractive index of water relative to air, n_water / n_air: Quan & Fry, Applied Optics 34(18), 1995, Eq. 3.
 
     temperature_c in degrees Celsius, 0 to 30; salinity_psu in practical salinity units (g/kg), 0 for fresh water, 35

@@ -18,6 +18,7 @@ from typing import Literal
 import cv2
 import numpy as np
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.checks import require
@@ -40,37 +41,37 @@ AS_GOOD = 8.0
 CHANCE_FACTOR = 3
 MAX_SIGMA_DEG = 5.0
 UNKNOWNS = 8
+Models = Float[Tensor, "h 8"]
 
 Status = Literal["success", "no_consensus", "degenerate"]
 
 
 @dataclass(frozen=True)
 class UnknownVertical:
-    """rotation (2, 3, 3) cam_from_world and center (2, 3) of cameras of which the first stands at (0, 0, 1) with
-    heading 0; inliers (N); down_in_cam (2, 3), and sigma (2): the expected root-mean-square angle in radians to the
-    true ones.
+    """rotation cam_from_world and center of cameras of which the first stands at (0, 0, 1) with heading 0; down_in_cam,
+    and sigma: the expected root-mean-square angle in radians to the true ones.
 
-    A failure keeps what was found; without a consensus that is nothing and sigma is infinite. `detail` says why.
+    A failure has what was found; without a consensus that is nothing and sigma is infinite. `detail` says why.
     """
 
     status: Status
-    rotation: Tensor
-    center: Tensor
-    inliers: Tensor
-    down_in_cam: Tensor
-    sigma: Tensor
+    rotation: Float[Tensor, "2 3 3"]
+    center: Float[Tensor, "2 3"]
+    inliers: Bool[Tensor, " n"]
+    down_in_cam: Float[Tensor, "2 3"]
+    sigma: Float[Tensor, " 2"]
     detail: str = ""
 
 
 def find_verticals(
-    plane1: Tensor,
-    plane2: Tensor,
-    focal: Tensor,
-    index_ratio: Tensor | float,
+    plane1: Float[Tensor, "n 2"],
+    plane2: Float[Tensor, "n 2"],
+    focal: Float[Tensor, " 2"],
+    index_ratio: Float[Tensor, ""] | float,
     max_error: float = 4.0,
     min_inliers: int = 20,
 ) -> UnknownVertical:
-    """Pose and verticals of two cameras from matches: ideal image coordinates plane1, plane2 (N, 2), focal (2) in px.
+    """Pose and verticals of two cameras from matches: ideal image coordinates plane1, plane2, focal in pixels.
 
     A match is an inlier within max_error pixels. Deterministic. "no_consensus": fewer agree than min_inliers and
     CHANCE_FACTOR times as many as when the matches are shuffled; "degenerate": sigma above MAX_SIGMA_DEG.
@@ -101,19 +102,23 @@ def find_verticals(
     return _report(views, best, max_error, min_inliers)
 
 
-def pinhole_rotation(plane1: Tensor, plane2: Tensor, threshold: float) -> tuple[Tensor, Tensor] | None:
-    """Relative rotation (3, 3) and consensus (N) of OpenCV's essential matrix."""
-    one, two, lens = plane1.numpy(), plane2.numpy(), np.eye(3)
-    essential, mask = cv2.findEssentialMat(one, two, lens, cv2.USAC_DEFAULT, 0.999, threshold)
-    if essential is None or essential.shape != (3, 3):
+def pinhole_rotation(
+    plane1: Float[Tensor, "n 2"], plane2: Float[Tensor, "n 2"], threshold: float
+) -> tuple[Float[Tensor, "3 3"], Bool[Tensor, " n"]] | None:
+    """Relative rotation and consensus of OpenCV's essential matrix."""
+    one, two, ideal = plane1.numpy(), plane2.numpy(), np.eye(3)
+    essential, mask = cv2.findEssentialMat(one, two, ideal, cv2.USAC_DEFAULT, 0.999, threshold)
+    if essential is None or essential.shape != (3, 3):  # pyright: ignore[reportUnnecessaryComparison]
         return None
     inliers = torch.from_numpy(mask[:, 0] > 0)
-    _, rotation, _, _ = cv2.recoverPose(essential, one, two, lens, mask=mask)
+    _, rotation, _, _ = cv2.recoverPose(essential, one, two, ideal, mask=mask)
     return (torch.from_numpy(rotation), inliers) if int(inliers.sum()) >= UNKNOWNS else None
 
 
-def _search(views: TwoViews, relative: Tensor, inliers: Tensor, max_error: float) -> tuple[Tensor, Tensor]:
-    """Refined models (K, 8) and their costs on all matches, best first; none where no vertical gives a pose."""
+def _search(
+    views: TwoViews, relative: Float[Tensor, "3 3"], inliers: Bool[Tensor, " n"], max_error: float
+) -> tuple[Models, Float[Tensor, " h"]]:
+    """Refined models and their costs on all matches, best first; none where no vertical gives a pose."""
     rows = inliers.nonzero()[:, 0]
     models = views.plane1.new_zeros(0, UNKNOWNS)
     if len(rows) >= UNKNOWNS:
@@ -129,8 +134,8 @@ def _search(views: TwoViews, relative: Tensor, inliers: Tensor, max_error: float
     return _best(models, views, max_error, FINALISTS)
 
 
-def _hypotheses(views: TwoViews, relative: Tensor) -> Tensor:
-    """Linear poses (H, 8) for every vertical of the grid that is below the horizon of both cameras."""
+def _hypotheses(views: TwoViews, relative: Float[Tensor, "3 3"]) -> Models:
+    """Linear poses for every vertical of the grid that is below the horizon of both cameras."""
     down1 = _cap(views.plane1)
     down2 = rotate(relative, down1)
     cam_from_level = level_rotation(torch.stack((down1, down2), dim=1)[down2[:, 2] > 0.0])
@@ -142,8 +147,8 @@ def _hypotheses(views: TwoViews, relative: Tensor) -> Tensor:
     return torch.cat((tilt.flatten(-2), turned[..., 1:], center), dim=-1)[valid]
 
 
-def _cap(like: Tensor) -> Tensor:
-    """Directions (K, 3) within CAP_DEG of the optical axis, SPACING_DEG apart, on a Fibonacci spiral."""
+def _cap(like: Float[Tensor, "..."]) -> Float[Tensor, "k 3"]:
+    """Directions within CAP_DEG of the optical axis, SPACING_DEG apart, on a Fibonacci spiral."""
     height, spacing = 1.0 - math.cos(math.radians(CAP_DEG)), math.radians(SPACING_DEG)
     count = math.ceil(2.0 * math.pi * height / spacing**2)
     k = torch.arange(count, dtype=like.dtype, device=like.device) + 0.5
@@ -152,24 +157,26 @@ def _cap(like: Tensor) -> Tensor:
     return torch.stack((radius * turn.cos(), radius * turn.sin(), z), dim=-1)
 
 
-def _best(models: Tensor, views: TwoViews, max_error: float, count: int) -> tuple[Tensor, Tensor]:
+def _best(
+    models: Models, views: TwoViews, max_error: float, count: int
+) -> tuple[Float[Tensor, "best 8"], Float[Tensor, " best"]]:
     costs, order = views.costs(models, max_error).topk(min(count, len(models)), largest=False)
     return models[order], costs
 
 
-def _agree(views: TwoViews, model: Tensor, max_error: float) -> Tensor:
+def _agree(views: TwoViews, model: Float[Tensor, " 8"], max_error: float) -> Bool[Tensor, " n"]:
     errors = views.errors(model[None])
     return (errors.possible & (errors.error.abs() < max_error))[0]
 
 
-def _variance(views: TwoViews, model: Tensor, max_error: float) -> float:
+def _variance(views: TwoViews, model: Float[Tensor, " 8"], max_error: float) -> float:
     """Variance of an epipolar error, from the inliers, in squared pixels."""
     error = views.errors(model[None]).error[0][_agree(views, model, max_error)]
     return float(error.square().sum()) / max(len(error) - UNKNOWNS, 1)
 
 
-def _report(views: TwoViews, models: Tensor, max_error: float, min_inliers: int) -> UnknownVertical:
-    """The first of models (K, 8) that explain the matches equally well.
+def _report(views: TwoViews, models: Models, max_error: float, min_inliers: int) -> UnknownVertical:
+    """The first of models that explain the matches equally well.
 
     They are refined once more at a threshold that follows from the noise.
     """
@@ -203,8 +210,10 @@ def _report(views: TwoViews, models: Tensor, max_error: float, min_inliers: int)
     )
 
 
-def _sigma(views: TwoViews, model: Tensor, down: Tensor, max_error: float) -> Tensor:
-    """Root-mean-square angle (2) of both verticals, where the tilts are measured from themselves."""
+def _sigma(
+    views: TwoViews, model: Float[Tensor, " 8"], down: Float[Tensor, "2 3"], max_error: float
+) -> Float[Tensor, " 2"]:
+    """Root-mean-square angle of both verticals, where the tilts are measured from themselves."""
     rotation, _ = views.poses(model[None])
     views = replace(views, cam_from_level=level_rotation(down))
     tilt, heading = tilt_and_heading(views.cam_from_level, rotation[0])
@@ -215,7 +224,7 @@ def _sigma(views: TwoViews, model: Tensor, down: Tensor, max_error: float) -> Te
     return torch.where(exists, variance.unflatten(0, (2, 2)).sum(dim=-1).sqrt(), torch.inf)
 
 
-def _nothing(plane: Tensor, detail: str) -> UnknownVertical:
+def _nothing(plane: Float[Tensor, "n 2"], detail: str) -> UnknownVertical:
     return UnknownVertical(
         "no_consensus",
         plane.new_zeros(2, 3, 3),
