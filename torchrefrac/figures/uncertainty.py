@@ -93,4 +93,4 @@ def uncertainty_figure(shown: Scene, truth: Truth | None) -> tuple[Any, float]:
 
 def true_errors(shown: Scene, truth: Truth, images: Int[Tensor, " k"]) -> Float[Tensor, "k 3"]:
     """From the true centre of each of `images` to the reconstructed one; NaN where the truth lacks it."""
-    return shown.center[images] - true_of(truth.center, truth, [shown.names[i] for i in images.tolist()])
+    return shown.views.center[images] - true_of(truth.center, truth, [shown.views.names[i] for i in images.tolist()])
