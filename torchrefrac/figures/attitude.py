@@ -58,7 +58,7 @@ def attitudes(scene: Scene, capture: Capture | None, truth: Truth | None) -> tup
         if capture.has_heading:
             sensed_heading = capture.heading[images].rad2deg()
     if truth is not None:
-        names = [scene.names[i] for i in images.tolist()]
+        names = [scene.views.names[i] for i in images.tolist()]
         true_down, turn = split_heading(true_of(truth.rotation, truth, names))
         true_heading = turn.rad2deg()
     angles = [
