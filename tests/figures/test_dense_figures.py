@@ -7,6 +7,7 @@ import torch
 
 from torchrefrac.evaluate.dense_metrics import evaluate_dense
 from torchrefrac.figures import dense as dense_figures
+from torchrefrac.figures import panels
 from torchrefrac.figures.dense import draw_dense_views
 from torchrefrac.figures.depth_map import draw_depth_map
 from torchrefrac.figures.error_map import ErrorPanel, draw_error_map, error_panel
@@ -154,8 +155,8 @@ def test_the_lowest_points_are_red_and_the_highest_blue(tmp_path, draw):
 
 @pytest.mark.parametrize("with_truth", [True, False])
 def test_an_oblique_view_looks_from_above_with_the_vertical_upright(truth, with_truth):
-    side = dense_figures._from_side(truth if with_truth else None)
-    oblique = dense_figures._turned(side)
+    side = panels.from_side(truth if with_truth else None)
+    oblique = panels.oblique(side)
 
     for frame in (side, oblique):
         torch.testing.assert_close(frame @ frame.T, torch.eye(3, dtype=DOUBLE))
