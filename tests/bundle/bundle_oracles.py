@@ -78,7 +78,7 @@ def dense_system(system) -> tuple[Tensor, Tensor]:
     plan, places = system.plan, system.plan.place_of
     size, count = plan.size, len(places)
     coupling = torch.zeros(plan.num_places, 3, size, dtype=torch.float64)
-    blocks = torch.einsum("rpk,rwk->kpw", system.rows[:, -4:-1], system.rows[:, :-4])
+    blocks = torch.einsum("rpk,rwk->kpw", system.rows[:, plan.layout.eliminated], system.rows[:, plan.layout.reduced])
     for block, camera, place in zip(blocks, plan.reduced.tolist(), plan.place.tolist(), strict=True):
         coupling[place][:, plan.columns[camera]] += block
     coupling = coupling[places].flatten(0, 1)

@@ -78,7 +78,7 @@ def _given(name, planted, draw):
         ]
         return state, terms
 
-    def marks(state, length, sigma, position):
+    def control(state, length, sigma, position):
         return state, [ScaleBars(*bar, length, sigma), KnownPoints(torch.tensor((2, 4)), position, information)]
 
     def intrinsics(state, focal, principal_point, distortion):
@@ -102,7 +102,7 @@ def _given(name, planted, draw):
             (planted.down_in_cam, truth.views.center[[0, 2]] + 0.3, truth.views.center[1:2, 2] - 0.4),
             (0.01, 1.0, 1.0),
         ),
-        "marks": (marks, (length, 0.2 * ONE, truth.points[[2, 4]] + 0.2), (1.0, 1.0, 1.0)),
+        "control": (control, (length, 0.2 * ONE, truth.points[[2, 4]] + 0.2), (1.0, 1.0, 1.0)),
         "intrinsics": (intrinsics, (cameras.focal, cameras.principal_point, cameras.distortion), (10.0, 10.0, 0.01)),
         "water": (water, (truth.interfaces.index_ratio[0], torch.cat((none, none)), none), (0.01, 0.01, 1.0)),
         "expected": (expected, (truth.interfaces.index_ratio[0] + 0.003, seen.pixels), (0.01, 1.0)),
@@ -119,8 +119,8 @@ CASES = {
     "weights, cauchy, free": ("weights", CAUCHY, {}),
     "weights, squared, fixed": ("weights", SQUARED, {"fixed": True}),
     "priors": ("priors", CAUCHY, {}),
-    "a bar and marks, squared": ("marks", SQUARED, {}),
-    "a bar and marks, cauchy, fixed": ("marks", CAUCHY, {"fixed": True}),
+    "a bar and control points, squared": ("control", SQUARED, {}),
+    "a bar and control points, cauchy, fixed": ("control", CAUCHY, {"fixed": True}),
     "intrinsics, squared, free": ("intrinsics", SQUARED, {}),
     "intrinsics, cauchy, fixed": ("intrinsics", CAUCHY, {"fixed": True}),
     "water, squared, free": ("water", SQUARED, {}),
@@ -185,7 +185,7 @@ def test_gradients_are_those_of_the_implicit_function_theorem(layer_of, draw, na
     [
         "pixels, squared, free",
         "priors",
-        "a bar and marks, squared",
+        "a bar and control points, squared",
         "intrinsics, squared, free",
         "index ratio expected",
     ],

@@ -37,7 +37,7 @@ def _bar(truth):
     return ScaleBars(torch.tensor([4]), torch.tensor([9]), length, 0.2 * ONE)
 
 
-def _marks(truth):
+def _control(truth):
     ids = torch.tensor((3, 1))
     return KnownPoints(ids, truth.points[ids], 4.0 * torch.eye(3, dtype=torch.float64).expand(2, 3, 3))
 
@@ -56,13 +56,13 @@ CASES = {
     "free": {},
     "air": {"index_ratio": 1.0},
     "a bar": {"terms": [_bar]},
-    "marks and a bar": {"terms": [_marks, _bar]},
+    "control points and a bar": {"terms": [_control, _bar]},
     "a height": {"terms": [_height]},
     "fixed views": {"fixed": True},
     "fixed views and a bar": {"fixed": True, "terms": [_bar]},
     "free intrinsics": {"refine": ("focal", "radial"), "cameras": 2, "expected": Expectations(focal=0.01)},
     "free water": {"refine": WATER},
-    "two free waters": {"refine": ("focal", *WATER), "interfaces": 2, "terms": [_marks]},
+    "two free waters": {"refine": ("focal", *WATER), "interfaces": 2, "terms": [_control]},
 }
 
 
@@ -196,7 +196,7 @@ def test_the_sigma_of_a_point_is_the_root_of_its_mean_variance(case_of):
     _assert_same(known.point_sigma, (torch.einsum("nii->n", known.points) / 3.0).sqrt())
 
 
-@pytest.mark.parametrize("name", ["free", "free water", "marks and a bar"])
+@pytest.mark.parametrize("name", ["free", "free water", "control points and a bar"])
 def test_covariances_are_symmetric_and_positive(case_of, name):
     planted, problem = case_of(name)
 
