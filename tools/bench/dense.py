@@ -94,7 +94,8 @@ def patches(folder: Path) -> None:
     """Adjust patches of one image from perturbed planes."""
     capture = tr.load_capture(folder)
     options = DenseOptions(method="patch")
-    view, neighbourhood = next(iter(find_neighbours(tr.reconstruct(capture), options).items()))
+    neighbourhoods = find_neighbours(tr.reconstruct(capture), options)
+    view, neighbourhood = max(neighbourhoods.items(), key=lambda item: len(item[1].points))
     scope = next(scopes(neighbourhood, Images(capture), options))
     cells = Cells(scope, options.cell)
     start = time.perf_counter()

@@ -23,19 +23,20 @@ HOME = torch.device("cpu")
 def fill_views(
     neighbourhoods: dict[int, Neighbourhood], images: Images, options: DenseOptions, recorder: Recorder, store: Store
 ) -> Patches:
-    """The patches of all views, in the order given: what the ones before have found need not be found again."""
+    """The patches of all views, those with most sparse points first: what they find need not be found again."""
     height, width = images.size
-    total = (height // options.cell) * (width // options.cell)
+    per_view = (height // options.cell) * (width // options.cell)
+    order = sorted(neighbourhoods.items(), key=lambda item: -len(item[1].points))
     known: list[Patches] = [Patches.empty(options.views)]
     made, start = 0, time.perf_counter()
-    with recorder.meter(len(neighbourhoods) * total, "densifying", "cell") as advance:
-        for step, (view, neighbourhood) in enumerate(neighbourhoods.items()):
+    with recorder.meter(len(order) * per_view, "densifying", "cell") as advance:
+        for step, (view, neighbourhood) in enumerate(order):
             done = store.load(view)
             if done is not None:
                 known.append(done)
-                advance(total, "")
+                advance(per_view, "")
                 continue
-            left, parts = total, [Patches.empty(options.views)]
+            left, parts = per_view, [Patches.empty(options.views)]
             for scope in scopes(neighbourhood, images, options):
                 cells, before = Cells(scope, options.cell), Patches.together([*known, *parts]).to(scope.device)
                 for patches in METHODS[options.method](scope, cells, before, options):

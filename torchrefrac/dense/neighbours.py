@@ -33,7 +33,7 @@ class Neighbourhood:
 
 
 def find_neighbours(scene: Scene, options: DenseOptions) -> dict[int, Neighbourhood]:
-    """Of every registered view that shares points with another one at a useful angle; those with most points first.
+    """Of every registered view that shares points with another one at a useful angle.
 
     A view's worth to another is the sum over common points of how near the angle between their rays is to the best.
     """
@@ -55,7 +55,7 @@ def find_neighbours(scene: Scene, options: DenseOptions) -> dict[int, Neighbourh
         if len(others):
             ids = torch.cat((torch.tensor([view]), others))
             found[view] = Neighbourhood(ids, cameras[ids], *_range(cameras[view], points), points, mine.pixels)
-    return dict(sorted(found.items(), key=lambda item: -len(item[1].points)))
+    return found
 
 
 def angle_between(
