@@ -154,8 +154,8 @@ def test_the_lowest_points_are_red_and_the_highest_blue(tmp_path, draw):
 
 @pytest.mark.parametrize("with_truth", [True, False])
 def test_an_oblique_view_looks_from_above_with_the_vertical_upright(truth, with_truth):
-    side = dense_figures._from_side(truth if with_truth else None)
-    oblique = dense_figures._turned(side)
+    side = dense_figures.side_frame(truth if with_truth else None)
+    oblique = dense_figures.oblique_frame(side)
 
     for frame in (side, oblique):
         torch.testing.assert_close(frame @ frame.T, torch.eye(3, dtype=DOUBLE))
