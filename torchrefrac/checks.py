@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 from torch._C import _functorch  # pyright: ignore[reportAttributeAccessIssue]
 
-from torchrefrac.errors import TorchrefracError as TorchrefracError
+from torchrefrac.errors import TorchrefracError as TorchrefracError  # noqa: PLC0414 - checks raise it elsewhere
 
 HALF = (torch.float16, torch.bfloat16)
 
