@@ -40,6 +40,12 @@ def require(
     raise ValueError(f"{name} is {bad:g}{where}, but must be {wants}")
 
 
+def require_between(value: float, name: str, low: float, high: float, unit: str = "") -> None:
+    """Refuse numbers outside low to high."""
+    if not low <= value <= high:
+        raise ValueError(f"{name} is {value:g}, but must lie between {low:g} and {high:g}{unit and f' {unit}'}")
+
+
 def require_floating(value: Shaped[Tensor, "..."] | float, name: str) -> None:
     """Refuse tensors of whole numbers, and True and False as numbers."""
     if isinstance(value, bool):

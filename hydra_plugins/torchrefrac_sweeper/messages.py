@@ -1,4 +1,4 @@
-"""What Hydra says in several lines, in one sentence."""
+"""What goes wrong, also what Hydra says in several lines, as one sentence."""
 
 from pathlib import Path
 from typing import Any

@@ -51,7 +51,7 @@ class SteadySweeper(BasicSweeper):
         """Run the jobs that are not complete.
 
         Raises SweepError when none can be run or the folder holds something else, KeyboardInterrupt after the end of
-        the sweep was told of what there is.
+        the sweep was reported with what there is.
         """
         config, context = self._context()
         combinations = self._combinations(arguments)

@@ -114,7 +114,7 @@ def test_only_what_differs_was_varied_and_an_index_ratio_goes_along_the_axis(mak
     design = what_varied(jobs)
 
     assert design.x == "water.index_ratio"
-    assert design.told_apart == ("scene.images",)
+    assert design.distinguished == ("scene.images",)
     assert design.averaged == ("seed",)
 
 

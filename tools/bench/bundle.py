@@ -111,10 +111,10 @@ def _ceres(program: Path, scene: Path, threads: int) -> dict[str, Any]:
     pinned = ["taskset", "-c", str(max(os.sched_getaffinity(0)))] if threads == 1 else []
     process = subprocess.Popen([*pinned, *command], env=os.environ | {"FULL": "1"}, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    told = process.stdout.read()
+    printed = process.stdout.read()
     _, _, usage = os.wait4(process.pid, 0)
-    steps = re.search(r"Linear solver +[\d.]+ \((\d+)\)", told)
-    seconds, cost = re.search(r"minimizer ([\d.]+) s", told), re.search(r"-> (\S+) rms", told)
+    steps = re.search(r"Linear solver +[\d.]+ \((\d+)\)", printed)
+    seconds, cost = re.search(r"minimizer ([\d.]+) s", printed), re.search(r"-> (\S+) rms", printed)
     assert steps is not None
     assert seconds is not None
     assert cost is not None
@@ -138,10 +138,11 @@ def _work(arguments: argparse.Namespace) -> dict[str, Any]:
     import numpy as np  # noqa: PLC0415 - the process that only starts others does not need these
     import torch  # noqa: PLC0415
 
-    from torchrefrac.bundle import BundleOptions, BundleState, Observations, adjust  # noqa: PLC0415
+    from torchrefrac.bundle import BundleOptions, adjust  # noqa: PLC0415
     from torchrefrac.camera import Intrinsics  # noqa: PLC0415
-    from torchrefrac.geometry import so3_exp  # noqa: PLC0415
+    from torchrefrac.geometry import Rigid, so3_exp  # noqa: PLC0415
     from torchrefrac.optim import LevenbergMarquardtOptions  # noqa: PLC0415
+    from torchrefrac.scene import Interfaces, Observations, Scene  # noqa: PLC0415
 
     threads = int(arguments.threads)
     torch.set_num_threads(threads)
@@ -150,14 +151,14 @@ def _work(arguments: argparse.Namespace) -> dict[str, Any]:
     with np.load(arguments.worker) as file:
         data = {name: torch.from_numpy(file[name]) for name in ("ci", "pi", "uv", "aa0", "C0", "X0")}
         focal, index_ratio = float(file["f"]), float(file["delta"])
-    state = BundleState(
-        rotation=so3_exp(data["aa0"]),
-        center=data["C0"],
-        points=data["X0"],
-        lens=Intrinsics.create(1, 1, focal, (0.0, 0.0)),
-        index_ratio=torch.tensor(index_ratio, dtype=torch.float64),
+    order = data["pi"].argsort(stable=True)
+    scene = Scene.create(
+        Rigid(so3_exp(data["aa0"]), data["C0"]),
+        Intrinsics.create(1, 1, focal, (0.0, 0.0)),
+        Interfaces.level(index_ratio),
+        data["X0"],
+        Observations(data["ci"][order].long(), data["pi"][order].long(), data["uv"][order]),
     )
-    seen = Observations(data["ci"].long(), data["pi"].long(), data["uv"])
     options = BundleOptions(
         loss="squared",
         compiled=arguments.compiled,
@@ -166,9 +167,9 @@ def _work(arguments: argparse.Namespace) -> dict[str, Any]:
         solver=LevenbergMarquardtOptions(max_iterations=50, function_tolerance=TOLERANCE),
     )
     if arguments.compiled:
-        adjust(state, seen, BundleOptions(loss="squared", compiled=True, solver=LevenbergMarquardtOptions(1)))
+        adjust(scene, BundleOptions(loss="squared", compiled=True, solver=LevenbergMarquardtOptions(1)))
     start = time.perf_counter()
-    report = adjust(state, seen, options, check=False)
+    report = adjust(scene, options, check=False)
     seconds = time.perf_counter() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     return {"seconds": seconds, "steps": report.iterations, "cost": report.costs[-1], "peak": peak}

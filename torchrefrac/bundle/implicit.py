@@ -144,5 +144,5 @@ class _Solve(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, gradient: Float[Tensor, " unknowns"]) -> tuple[Float[Tensor, " unknowns"], None]:
-        return ctx.solve(gradient), None
+    def backward(ctx: Any, *gradients: Float[Tensor, " unknowns"]) -> tuple[Float[Tensor, " unknowns"], None]:
+        return ctx.solve(gradients[0]), None

@@ -23,6 +23,7 @@ from torchrefrac.commands.reconstruct import run
 from torchrefrac.config import AdjustOptions, DensifyOptions, RunOptions, scene_folder
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.run import METRICS, RunRecord
+from torchrefrac.files.truth import load_truth
 from torchrefrac.html import write_report
 from torchrefrac.record.recorders import RunRecorders, run_recorders
 from torchrefrac.record.summary import adjustment_lines, dense_lines, reconstruction_lines, summary
@@ -69,7 +70,7 @@ def reconstruct_into(folder: Path, options: RunOptions, settings: Any) -> None:
             into = os.path.relpath(folder)
             print(f"{options.scene.label}: {len(capture)} images, model {model}, into {into}", file=sys.stderr)
         about = {"scene": options.scene.label, "overrides": overrides}
-        metrics = run(capture, options.reconstruction, recorder, folder, about)
+        metrics = run(capture, options.reconstruction, recorder, folder, about, load_truth(capture.folder))
         recorder.hparams(_compared(options, capture, overrides), metrics)
     if not quiet:
         print(summary(reconstruction_lines(metrics)))

@@ -1,40 +1,62 @@
 """What the dense stage leaves in a run folder."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from torchrefrac.config.outputs import DenseOutputs
-from torchrefrac.dense import Dense, DenseError, DenseOptions, depth_maps
-from torchrefrac.dense.rasterize import rasterize
+from torchrefrac.dense import Dense, DenseOptions, depth_maps
+from torchrefrac.figures.dense import dense_view, draw_dense_views
 from torchrefrac.figures.depth_map import draw_depth_map
+from torchrefrac.figures.error_map import draw_error_map, error_panel
 from torchrefrac.figures.raster import draw_raster
 from torchrefrac.files.dense import write_dense, write_depth_map
 from torchrefrac.files.mesh import height_field_mesh, write_mesh
 from torchrefrac.files.raster import write_geotiff, write_raster
-from torchrefrac.files.run import DENSE_CLOUD, DENSE_RESULTS, DEPTH_MAPS
+from torchrefrac.files.run import DENSE_CLOUD, DENSE_RESULTS, DENSE_VIEW, DEPTH_MAPS, ERROR_MAP
+from torchrefrac.geometry import Similarity
 from torchrefrac.recorder import Recorder
-from torchrefrac.scene import DenseCloud, Raster, Scene
+from torchrefrac.scene import DenseCloud, Raster, Scene, Truth
 
 
-def write_dense_outputs(
-    dense: Dense,
+def write_dense_outputs(cloud: DenseCloud, raster: Raster | None, outputs: DenseOutputs, folder: Path) -> None:
+    """Write dense.ply, and what is asked for of the surface on a grid."""
+    if raster is not None:
+        if outputs.raster:
+            write_raster(raster, folder)
+        if outputs.geotiff:
+            write_geotiff(raster, folder / "dsm.tif", outputs.crs)
+        if outputs.mesh:
+            write_mesh(height_field_mesh(raster), folder / "mesh.ply")
+    write_dense(cloud, folder / DENSE_CLOUD)
+
+
+def draw_dense_outputs(
+    cloud: DenseCloud,
+    raster: Raster | None,
     scene: Scene,
-    options: DenseOptions,
-    outputs: DenseOutputs,
-    recorder: Recorder,
+    truth: Truth | None,
+    alignment: Similarity | None,
+    metrics: Mapping[str, Any],
     folder: Path,
 ) -> None:
-    """Write dense.ply and the `outputs`. Raises DenseError where raster_cell is too small for the extent."""
-    with recorder.meter(3, "writing", "") as advance:
-        write_dense(dense.cloud, folder / DENSE_CLOUD)
-        advance(1, "")
-        if outputs.raster or outputs.mesh or outputs.geotiff:
-            raster = _raster_of(dense.cloud, outputs)
-            advance(1, "")
-            _write_surface(raster, outputs, folder)
-    if outputs.depth_maps:
-        _write_depth_maps(dense, scene, options, recorder, folder / DEPTH_MAPS)
+    """The surface from above (where there is a raster), from aside and, where it is known, against the truth."""
+    if raster is not None:
+        draw_raster(raster, folder / "dsm.png")
+    model = metrics.get("model", "refractive" if scene.index_ratio > 1.0 else "none")
+    known = truth if alignment is not None else None
+    draw_dense_views([dense_view(model, cloud, scene, alignment, metrics)], known, folder / DENSE_VIEW)
+    if truth is not None and alignment is not None and len(truth.corner):
+        draw_error_map([error_panel(model, cloud, alignment, truth, metrics)], truth, folder / ERROR_MAP)
+
+
+def write_depth_maps(dense: Dense, scene: Scene, options: DenseOptions, recorder: Recorder, folder: Path) -> None:
+    """Write and draw what every registered view sees of the surface."""
+    stems, count = depth_map_stems(scene.views.names), scene.views.num_registered
+    for found in recorder.track(depth_maps(dense, scene, options), count, "depth maps", "image"):
+        write_depth_map(found, folder / f"{stems[found.name]}_depth.npz")
+        draw_depth_map(found, folder / f"{stems[found.name]}_depth.png")
 
 
 def remove_dense_outputs(folder: Path) -> None:
@@ -61,27 +83,3 @@ def depth_map_stems(names: Sequence[str]) -> dict[str, str]:
     stems = {name: str(Path(name).with_suffix("")) for name in names}
     times = Counter(stems.values())
     return {name: stem if times[stem] == 1 else name for name, stem in stems.items()}
-
-
-def _raster_of(cloud: DenseCloud, outputs: DenseOutputs) -> Raster:
-    try:
-        return rasterize(cloud, outputs.raster_cell)
-    except ValueError as error:
-        raise DenseError(f"outputs.raster_cell: {error}") from None
-
-
-def _write_surface(raster: Raster, outputs: DenseOutputs, folder: Path) -> None:
-    if outputs.raster:
-        write_raster(raster, folder)
-        draw_raster(raster, folder / "dsm.png")
-    if outputs.geotiff:
-        write_geotiff(raster, folder / "dsm.tif", outputs.crs)
-    if outputs.mesh:
-        write_mesh(height_field_mesh(raster), folder / "mesh.ply")
-
-
-def _write_depth_maps(dense: Dense, scene: Scene, options: DenseOptions, recorder: Recorder, folder: Path) -> None:
-    stems, count = depth_map_stems(scene.views.names), scene.views.num_registered
-    for found in recorder.track(depth_maps(dense, scene, options), count, "depth maps", "image"):
-        write_depth_map(found, folder / f"{stems[found.name]}_depth.npz")
-        draw_depth_map(found, folder / f"{stems[found.name]}_depth.png")

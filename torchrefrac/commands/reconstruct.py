@@ -13,14 +13,13 @@ import torch
 from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
-from torchrefrac.commands.run_folder import RunFolder, describe_gravity
+from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.config import Options
-from torchrefrac.evaluate.metrics import evaluate, summarize
+from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
-from torchrefrac.figures.matches import record_matches, record_residuals
-from torchrefrac.files.truth import load_truth
+from torchrefrac.figures.matches import StagePictures
 from torchrefrac.recorder import Recorder, SilentRecorder
-from torchrefrac.scene import Capture, Scene
+from torchrefrac.scene import Capture, Scene, Truth
 from torchrefrac.sfm import (
     PinholeInitializer,
     PoseInitializer,
@@ -66,7 +65,6 @@ def reconstruct(
         capture = stage("levelling", lambda: _level(unlevelled, matches, features, ratio, options, recorder))
     initializer, sfm = _initializer(capture, ratio, options, recorder)
     pairs = stage("matching", lambda: _verify(matches, features, initializer, options, generator, recorder))
-    record_matches(capture, features, pairs, recorder)
     observations, colors = build_tracks(features, [pair.pair for pair in pairs])
     recorder.scalar("tracks/count", len(colors), 0)
     recorder.scalar("tracks/observations", len(observations), 0)
@@ -76,32 +74,35 @@ def reconstruct(
 
 
 def run(
-    capture: Capture, options: Options, recorder: Recorder, folder: Path, about: Mapping[str, Any] | None = None
+    capture: Capture,
+    options: Options,
+    recorder: Recorder,
+    folder: Path,
+    about: Mapping[str, Any] | None = None,
+    truth: Truth | None = None,
 ) -> dict[str, Any]:
-    """Reconstruct, make it dense where that is asked for, evaluate where truth is at hand, and leave everything in
+    """Reconstruct, make it dense where that is asked for, evaluate where the truth is known, and leave everything in
     `folder`. Returns the metrics, which begin with those of `about` (such as the name of the scene).
 
     Each stage's files are written when it ends. When a stage fails or is interrupted, metrics.json says which, why, and
     what was complete before; the dense stage goes on with the images that were finished when the same is run again.
     """
-    files = RunFolder(folder)
-    told = {"model": options.model.name, "capture": str(capture.folder.resolve())} | dict(about or {})
-    with files.recording(**told, **describe_gravity(capture)):
-        scene = reconstruct(capture, options, recorder, files.stage_done)
-        with recorder.meter(3, "evaluating", "") as advance:
-            metrics = summarize(scene)
+    files, pictures = RunFolder(folder), StagePictures(capture, recorder)
+
+    def stage_done(name: str, product: Any, seconds: float) -> None:
+        files.stage_done(name, product, seconds)
+        pictures.stage_done(name, product)
+
+    known = {"model": options.model.name, "capture": str(capture.folder.resolve())} | dict(about or {})
+    with files.recording(**known, **capture.gravity_metrics):
+        scene = reconstruct(capture, options, recorder, stage_done)
+        with recorder.meter(2, "evaluating", "") as advance:
+            metrics, alignment = evaluate_run(scene, truth)
             advance(1, "")
-            truth = load_truth(capture.folder)
-            aligned = None
-            if truth is not None:
-                measured, aligned = evaluate(scene, truth)
-                metrics |= measured
-            advance(1, "")
-            files.complete(scene, metrics, truth, aligned)
-            record_residuals(capture, scene, recorder)
+            files.complete(scene, metrics, truth, alignment)
             advance(1, "")
         if options.dense.method != "none":
-            dense_stage(files, capture, scene, options.dense, options.outputs, truth, aligned, recorder)
+            dense_stage(files, scene, options.dense, options.outputs, truth, alignment, recorder)
     return files.metrics
 
 

@@ -1,6 +1,5 @@
 """The folder that a run leaves behind: results of every finished stage, and metrics.json that says how far it got."""
 
-import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ from torchrefrac.files.run import METRICS, RunRecord
 from torchrefrac.files.tracks import write_tracks
 from torchrefrac.geometry import Similarity
 from torchrefrac.record.memory import forget_peak_memory, peak_memory_gib
-from torchrefrac.scene import Capture, Scene, Truth
+from torchrefrac.scene import Scene, Truth
 from torchrefrac.sfm import VerifiedPair
 
 RESULTS = (
@@ -72,7 +71,7 @@ class RunFolder:
         if name == "features":
             _write_features(product, self.folder / "features.npz")
         elif name == "levelling":
-            self.metrics |= describe_gravity(product) | {"gravity": "estimated"}
+            self.metrics |= product.gravity_metrics | {"gravity": "estimated"}
         elif name == "matching":
             _write_matches(product, self.folder / "matches.npz")
         elif name == "sparse":
@@ -88,14 +87,14 @@ class RunFolder:
         scene: Scene,
         metrics: dict[str, Any],
         truth: Truth | None,
-        aligned: Similarity | None,
+        alignment: Similarity | None,
     ) -> None:
         """Take in the metrics and draw the figure."""
         self.metrics |= metrics
         if scene.failures:
             self.metrics["not_registered"] = dict(scene.failures)
-        view = side_view(self.metrics["model"], scene, aligned, self.metrics)
-        draw_side_views([view], truth if aligned is not None else None, self.folder / "side_view.png")
+        view = side_view(self.metrics["model"], scene, alignment, self.metrics)
+        draw_side_views([view], truth if alignment is not None else None, self.folder / "side_view.png")
 
     @contextmanager
     def _until_the_end(self) -> Iterator[None]:
@@ -120,13 +119,6 @@ class RunFolder:
         if memory is not None:
             self.metrics["peak_memory_gib"] = round(memory, 3)
         self.save_metrics()
-
-
-def describe_gravity(capture: Capture) -> dict[str, Any]:
-    """The metrics that say whether gravity was measured, and how well it is known in degrees."""
-    if not capture.has_gravity:
-        return {"gravity": "unknown"}
-    return {"gravity": "measured", "gravity_sigma_deg": round(math.degrees(capture.down_sigma), 3)}
 
 
 def read_record(folder: Path) -> RunRecord:

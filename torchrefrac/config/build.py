@@ -60,7 +60,7 @@ def _convert(hint: Any, value: Any, path: str) -> Any:
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if type(value) is not hint:
-        raise OptionError(f"{path} is {value!r}, but must be {PLAIN[hint]}")
+        raise OptionError(f"{path} is {value!r}, but must be {PLAIN.get(hint)}")
     return value
 
 

@@ -24,6 +24,11 @@ class DenseOutputs:
     geotiff: bool = False
     crs: str | None = None
 
+    @property
+    def needs_raster(self) -> bool:
+        """Whether something is made from heights on a grid."""
+        return self.mesh or self.raster or self.geotiff
+
     def __post_init__(self) -> None:
         if self.raster_cell is not None:
             require(self.raster_cell, "raster_cell", above=0.0)

@@ -7,12 +7,21 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
+from torchrefrac.dense.densify import DenseError
 from torchrefrac.dense.upper_surface import fill_small_holes, upper_surface
 from torchrefrac.scene import DenseCloud, Raster
 
 MOST_CELLS = 50_000_000
 SAMPLE, NEIGHBOURS, CELLS_A_SPACING = 20_000, 8, 1.5
 TAIL, STRAY = 0.01, 2.0  # stray: beyond the range of the middle 98 %, by more than twice that range
+
+
+def raster_of(cloud: DenseCloud, cell_size: float | None) -> Raster:
+    """`rasterize`, for cells that an option chose. Raises DenseError where they are too small for the extent."""
+    try:
+        return rasterize(cloud, cell_size)
+    except ValueError as error:
+        raise DenseError(f"outputs.raster_cell: {error}") from None
 
 
 def rasterize(cloud: DenseCloud, cell_size: float | None = None) -> Raster:

@@ -4,7 +4,7 @@ import hashlib
 import json
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -66,6 +66,33 @@ class FolderStore:
 
     def _path(self, image: int) -> Path:
         return self.folder / f"patches_{image:05d}.npz"
+
+
+class CountingStore:
+    """Counts the patches that pass through to another store and back."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._new = self._old = self._images = 0
+
+    def load(self, image: int) -> Patches | None:
+        patches = self._store.load(image)
+        if patches is not None:
+            self._old, self._images = self._old + len(patches), self._images + 1
+        return patches
+
+    def save(self, image: int, patches: Patches) -> None:
+        self._new += len(patches)
+        self._store.save(image, patches)
+
+    def metrics(self, seconds: float) -> dict[str, Any]:
+        """How many patches there were before any was filtered out, and how fast they were found."""
+        found: dict[str, Any] = {"dense_patches": self._old + self._new}
+        if self._new:
+            found["dense_patches_per_s"] = round(self._new / seconds, 1)
+        if self._images:
+            found["dense_images_resumed"] = self._images
+        return found
 
 
 def fingerprint(scene: Scene, options: DenseOptions) -> str:

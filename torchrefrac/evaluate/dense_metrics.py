@@ -32,6 +32,16 @@ def summarize_dense(cloud: DenseCloud) -> Metrics:
     return metrics
 
 
+def evaluate_dense_run(
+    cloud: DenseCloud, truth: Truth | None, alignment: Similarity | None, seen: Float[Tensor, "k 3"] | None
+) -> Metrics:
+    """What `summarize_dense` and, where the truth is known, `evaluate_dense` say."""
+    metrics = summarize_dense(cloud)
+    if truth is None or alignment is None:
+        return metrics
+    return metrics | evaluate_dense(cloud, truth, alignment, seen)
+
+
 def evaluate_dense(
     cloud: DenseCloud,
     truth: Truth,

@@ -85,6 +85,15 @@ def evaluate(scene: Scene, truth: Truth) -> tuple[dict[str, float | int | str], 
     return metrics, alignment
 
 
+def evaluate_run(scene: Scene, truth: Truth | None) -> tuple[dict[str, Any], Similarity | None]:
+    """What `summarize` and, where the truth is known, `evaluate` say; and the alignment of the latter."""
+    metrics = summarize(scene)
+    if truth is None:
+        return metrics, None
+    errors, alignment = evaluate(scene, truth)
+    return metrics | errors, alignment
+
+
 def rms(values: Float[Tensor, "..."]) -> float:
     """Root mean square of the values."""
     return float(values.square().mean().sqrt())

@@ -7,9 +7,28 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
-from torchrefrac.scene import TruthPoints
+from torchrefrac.files.capture import read_grey
+from torchrefrac.files.truth_points import load_truth_points
+from torchrefrac.scene import CaptureError, Scene, Truth, TruthPoints
 
 SAME_PLACE = 1.5  # times the distance between neighbouring entries: two images' entries of one place are nearer
+
+
+def points_to_be_found(truth: Truth, scene: Scene) -> Float[Tensor, "n 3"] | None:
+    """True points that the photographs of a scene show well; None where nobody knows them.
+
+    Raises CaptureError where the file of true points does not fit the photographs.
+    """
+    if truth.folder is None or scene.capture is None:
+        return None
+    known = load_truth_points(truth.folder, scene.views.names)
+    if known is None:
+        return None
+    paths = dict(zip(scene.capture.names, scene.capture.paths, strict=True))
+    try:
+        return textured_points(known, [torch.from_numpy(read_grey(paths[name])) for name in known.names])
+    except ValueError as error:
+        raise CaptureError(f"{truth.folder / 'truth_points.npz'}: {error}") from None
 
 
 def textured_points(

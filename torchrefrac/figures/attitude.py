@@ -19,6 +19,7 @@ from torchrefrac.figures.plotting import (
     panels,
     rounded,
 )
+from torchrefrac.figures.side_views import true_of
 from torchrefrac.geometry import split_heading
 from torchrefrac.scene import Capture, Scene, Truth
 
@@ -57,7 +58,8 @@ def attitudes(scene: Scene, capture: Capture | None, truth: Truth | None) -> tup
         if capture.has_heading:
             sensed_heading = capture.heading[images].rad2deg()
     if truth is not None:
-        true_down, turn = split_heading(_true_rotations(scene, truth, images))
+        names = [scene.views.names[i] for i in images.tolist()]
+        true_down, turn = split_heading(true_of(truth.rotation, truth, names))
         true_heading = turn.rad2deg()
     angles = [
         Angle(name, _dip(down, axis), *(None if d is None else _dip(d, axis) for d in (sensed_down, true_down)))
@@ -100,13 +102,13 @@ def attitude_figure(images: Int[Tensor, " k"], angles: Sequence[Angle], count: i
 
 def attitude_words(angles: Sequence[Angle]) -> str:
     """RMS of the differences, in one sentence."""
-    told = []
+    parts = []
     for name, pick in (("the IMU", "measured"), ("the truth", "true")):
         errors = [(a.name, a.error(getattr(a, pick))) for a in angles]
         known = [f"{n} {rounded(_rms(e))}°" for n, e in errors if e is not None and bool(e.isfinite().any())]
         if known:
-            told.append(f"against {name} {', '.join(known)}")
-    return f"RMS differences {'; '.join(told)}." if told else ""
+            parts.append(f"against {name} {', '.join(known)}")
+    return f"RMS differences {'; '.join(parts)}." if parts else ""
 
 
 def wrapped(degrees: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
@@ -124,15 +126,6 @@ def _rms(values: Float[Tensor, " n"]) -> float:
 
 def _dip(down: Float[Tensor, "k 3"], axis: int) -> Float[Tensor, " k"]:
     return down[:, axis].clamp(-1.0, 1.0).asin().rad2deg()
-
-
-def _true_rotations(scene: Scene, truth: Truth, images: Int[Tensor, " k"]) -> Float[Tensor, "k 3 3"]:
-    """cam_from_world; NaN where the truth does not have the image."""
-    rotation = torch.full((len(images), 3, 3), torch.nan, dtype=torch.float64)
-    for row, i in enumerate(images.tolist()):
-        if scene.views.names[i] in truth.names:
-            rotation[row] = truth.rotation[truth.names.index(scene.views.names[i])]
-    return rotation
 
 
 def _turned_to(estimated: Float[Tensor, " k"], reference: Float[Tensor, " k"] | None) -> Float[Tensor, " k"] | None:

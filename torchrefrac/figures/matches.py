@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,6 +23,23 @@ FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)  # by which residuals may b
 READABLE = WIDTH / 100  # how long a median residual should be in a picture, pixels
 STRIP = 30  # height of the strip with text, pixels
 YELLOW, GREEN = (255, 220, 0), (70, 230, 120)
+
+
+class StagePictures:
+    """Gives the pictures of each finished stage of a reconstruction to a recorder."""
+
+    def __init__(self, capture: Capture, recorder: Recorder) -> None:
+        self._capture, self._recorder = capture, recorder
+        self._features: Sequence[Features] = ()
+
+    def stage_done(self, name: str, product: Any) -> None:
+        """After "features" (list of Features), "matching" (list of VerifiedPair) and "sparse" (Scene)."""
+        if name == "features":
+            self._features = product
+        elif name == "matching":
+            record_matches(self._capture, self._features, product, self._recorder)
+        elif name == "sparse":
+            record_residuals(self._capture, product, self._recorder)
 
 
 def record_matches(
@@ -52,8 +70,8 @@ def record_residuals(capture: Capture, scene: Scene, recorder: Recorder) -> None
         here = image == i
         picture = residual_picture(read_color(capture.paths[i]), pixels[here], residuals[here], factor)
         median = float(residuals[here].norm(dim=-1).median()) if bool(here.any()) else 0.0
-        told = f"{int(here.sum())} residuals {factor} times as long, median {median:.2f} px"
-        _write(picture, f"{capture.names[i]}: {told}")
+        about = f"{int(here.sum())} residuals {factor} times as long, median {median:.2f} px"
+        _write(picture, f"{capture.names[i]}: {about}")
         recorder.picture(f"residuals/{Path(capture.names[i]).with_suffix('')}", torch.from_numpy(picture), 0)
 
 

@@ -15,7 +15,7 @@ from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Scene, Truth
 
 TITLES = {"none": "No refraction", "radial": "Radial distortion", "refractive": "Refraction"}
-MODEL_COLORS = {"none": "#d55e00", "radial": "#009e73", "refractive": "#0072b2"}  # told apart by the colour-blind too
+MODEL_COLORS = {"none": "#d55e00", "radial": "#009e73", "refractive": "#0072b2"}  # different for the colour-blind too
 WATER, INK, FAINT = "#2b7bba", "#222222", "#c4c4c4"
 PANEL_INCHES = 4.4
 
@@ -119,6 +119,15 @@ def corners_of(truth: Truth) -> Float[Tensor, "k 4 3"]:
     """The corners of the true planes, all around each."""
     a, b, c = truth.corner, truth.edge1, truth.edge2
     return torch.stack((a, a + b, a + b + c, a + c), dim=1)
+
+
+def true_of(values: Float[Tensor, "m *row"], truth: Truth, names: Sequence[str]) -> Float[Tensor, "k *row"]:
+    """The rows of the images `names` in values of the truth's images; NaN where the truth lacks an image."""
+    found = values.new_full((len(names), *values.shape[1:]), torch.nan)
+    for row, name in enumerate(names):
+        if name in truth.names:
+            found[row] = values[truth.names.index(name)]
+    return found
 
 
 def _draw_planes(panel: Any, truth: Truth, across: Float[Tensor, " 2"]) -> None:

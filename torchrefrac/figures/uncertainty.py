@@ -17,6 +17,7 @@ from torchrefrac.figures.plotting import (
     number_images,
     plain_axes,
 )  # fmt: skip
+from torchrefrac.figures.side_views import true_of
 from torchrefrac.scene import Scene, Truth
 
 SHARE = 0.1  # of the extent of the cameras that a typical ellipse takes
@@ -92,8 +93,4 @@ def uncertainty_figure(shown: Scene, truth: Truth | None) -> tuple[Any, float]:
 
 def true_errors(shown: Scene, truth: Truth, images: Int[Tensor, " k"]) -> Float[Tensor, "k 3"]:
     """From the true centre of each of `images` to the reconstructed one; NaN where the truth lacks it."""
-    errors = torch.full((len(images), 3), torch.nan, dtype=torch.float64)
-    for row, i in enumerate(images.tolist()):
-        if shown.views.names[i] in truth.names:
-            errors[row] = shown.views.center[i] - truth.center[truth.names.index(shown.views.names[i])]
-    return errors
+    return shown.views.center[images] - true_of(truth.center, truth, [shown.views.names[i] for i in images.tolist()])

@@ -42,6 +42,7 @@ def load_truth(folder: str | Path, with_surface: bool = True) -> Truth | None:
         length_unit=top.text("length_unit"),
         index_ratio=None if ratio_from is None else read_index_ratio(ratio_from),
         intrinsics=None if capture is None else read_intrinsics(capture),
+        folder=folder,
         surface=_read_surface(top, folder) if with_surface and "surface" in top else None,
     )
 

@@ -80,8 +80,8 @@ def _sections(jobs: Sequence[RunRecord], short: Mapping[str, str], folder: Path)
         same = [key for key in short if len({job.overrides.get(key) for job in group}) == 1]
         ordered = sorted(group, key=model_order)
         shared = same if len(groups) > 1 else []
-        told = {key: name for key, name in short.items() if key not in shared}
-        labels = distinct([_label(job, told, with_scene=False) for job in ordered], ordered)
+        shown = {key: name for key, name in short.items() if key not in shared}
+        labels = distinct([_label(job, shown, with_scene=False) for job in ordered], ordered)
         title = ", ".join((group[0].scene, *(f"{short[key]} {group[0].overrides.get(key, DEFAULT)}" for key in shared)))
         entries = [Entry(label, job, _link(job, folder)) for label, job in zip(labels, ordered, strict=True)]
         unit = next((job.length_unit for job in group if job.length_unit), "")

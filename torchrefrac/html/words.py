@@ -10,13 +10,13 @@ from torchrefrac.files.run import RunRecord, RunStatus
 
 MODELS = {
     "none": "as if there were no water",
-    "radial": "as if the lens made what the water does: radial distortion refined",
+    "radial": "as if the camera made what the water does: radial distortion refined",
     "refractive": "with refraction at the water surface, exactly",
 }
 ENDS = {
     RunStatus.FAILED: "Failed",
     RunStatus.INTERRUPTED: "Interrupted",
-    RunStatus.RUNNING: "Not finished: still running, or ended without a word;",
+    RunStatus.RUNNING: "Not finished: still running, or ended without a record;",
 }
 MINUTE = 60.0
 

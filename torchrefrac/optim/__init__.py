@@ -14,7 +14,7 @@ modern synthesis", 2000, section 6) leaves as many equations as there are reduce
 
 What is computed when, for N observations of w reduced unknowns each:
 - once per problem, `SchurPlan`: the order of the observations and tiles; integers, O(N) memory, a few sorts.
-- once per accepted state, `linearize`: V, B and the gradients from rows of N r (w + 4) numbers; about
+- once per state that is tried, `linearize`: V, B and the gradients from rows of N r (w + 4) numbers; about
   2 N r (w + 1)^2 flops. The rows stay, E is never formed.
 - once per damping, `Elimination`: the factors of V, 6 n numbers; then S, by `Linearized.solver`:
   - dense, up to MAX_DENSE = 7200 reduced unknowns: S itself, size^2 numbers (415 MB in double precision) from tiles of

@@ -20,6 +20,9 @@ from torchrefrac.optim.normal_equations import LOWER, NormalEquations, in_cache
 from torchrefrac.optim.plan import ELIMINATED_SIZE, REDUCED_SIZE, TILE, Chunk, Family
 
 BLOCK = REDUCED_SIZE * REDUCED_SIZE
+Places = Float[Tensor, "3 places"]
+Rows = Float[Tensor, "residuals row k"]
+Slim = Float[Tensor, "3 residuals k"]
 
 
 class Tiles(NamedTuple):
@@ -47,7 +50,7 @@ class Elimination:
         )
 
     @cached_property
-    def whitened(self) -> Float[Tensor, "3 places"]:
+    def whitened(self) -> Places:
         """X gp."""
         return _lower_times(self.factor, self.system.eliminated_gradient)
 
@@ -95,7 +98,7 @@ class Elimination:
         rhs[first:end] -= shared[:g, g]
         return matrix, rhs
 
-    def to_eliminated(self, x: Float[Tensor, " size"]) -> Float[Tensor, "3 places"]:
+    def to_eliminated(self, x: Float[Tensor, " size"]) -> Places:
         """E^T x."""
         plan, rows, layout = self.system.plan, self.system.rows, self.system.plan.layout
         local = x[plan.columns].T.contiguous()
@@ -106,7 +109,7 @@ class Elimination:
             total.index_add_(1, plan.place[here], (rows[:, layout.eliminated, here] * moved).sum(dim=0))
         return total
 
-    def to_reduced(self, y: Float[Tensor, "3 places"]) -> Float[Tensor, " size"]:
+    def to_reduced(self, y: Places) -> Float[Tensor, " size"]:
         """E y."""
         plan, rows, layout = self.system.plan, self.system.rows, self.system.plan.layout
         local = self.factor.new_zeros(plan.columns.shape[1], plan.num_reduced)
@@ -116,27 +119,25 @@ class Elimination:
             local.index_add_(1, plan.reduced[here], (rows[:, layout.reduced, here] * moved).sum(dim=0))
         return y.new_zeros(plan.size).index_add_(0, plan.columns.T.flatten(), local.flatten())
 
-    def back_substitute(self, x: Float[Tensor, " size"]) -> Float[Tensor, "3 places"]:
+    def back_substitute(self, x: Float[Tensor, " size"]) -> Places:
         """The step of the eliminated blocks for the step x of the reduced unknowns."""
         if self.system.rows.shape[-1] == 0:
             return self.whitened
         pulled = self.whitened + _lower_times(self.factor, self.to_eliminated(x))
         return -_upper_times(self.factor, pulled)
 
-    def times_inverse(self, y: Float[Tensor, "3 places"]) -> Float[Tensor, "3 places"]:
+    def times_inverse(self, y: Places) -> Places:
         """V^-1 y."""
         return _upper_times(self.factor, _lower_times(self.factor, y))
 
-    def _whitened_rows(self, chunk: Chunk, rows: Float[Tensor, "residuals row k"]) -> Float[Tensor, "3 residuals k"]:
+    def _whitened_rows(self, chunk: Chunk, rows: Rows) -> Slim:
         """J_p X^T."""
         plan = self.system.plan
         x00, x10, x11, x20, x21, x22 = self.factor.index_select(1, plan.place[chunk.observations])
         p0, p1, p2 = rows[:, plan.layout.eliminated].unbind(dim=1)
         return torch.stack((p0 * x00, p0 * x10 + p1 * x11, p0 * x20 + p1 * x21 + p2 * x22))
 
-    def _shared_part(
-        self, chunk: Chunk, slim: Float[Tensor, "3 residuals k"], rows: Float[Tensor, "residuals row k"]
-    ) -> Float[Tensor, "tiles rows shared"]:
+    def _shared_part(self, chunk: Chunk, slim: Slim, rows: Rows) -> Float[Tensor, "tiles rows shared"]:
         plan, here = self.system.plan, chunk.observations
         tiles, places = len(chunk.reduced), len(chunk.reduced) * TILE
         place = plan.place[here] - chunk.tiles.start * TILE
@@ -163,7 +164,7 @@ def _summed(
     return total.view(ELIMINATED_SIZE, family.size, places, family.count).permute(2, 0, 3, 1).flatten(2)
 
 
-def _outer(slim: Float[Tensor, "3 residuals k"], rows: Float[Tensor, "residuals size k"]) -> Float[Tensor, "3 size k"]:
+def _outer(slim: Slim, rows: Float[Tensor, "residuals size k"]) -> Float[Tensor, "3 size k"]:
     """Sum of products over the residuals."""
     total = slim[:, 0, None] * rows[None, 0]
     for r in range(1, len(rows)):

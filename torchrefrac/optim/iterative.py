@@ -15,7 +15,9 @@ from torch import Tensor
 from torchrefrac.optim.elimination import Elimination
 from torchrefrac.optim.plan import REDUCED_SIZE
 
-Operator = Callable[[Float[Tensor, " size"]], Float[Tensor, " size"]]
+Vector = Float[Tensor, " size"]
+Coarse = Float[Tensor, "size directions"] | None
+Operator = Callable[[Vector], Vector]
 
 
 @dataclass(frozen=True)
@@ -27,8 +29,8 @@ class IterativeOptions:
 
 
 def solve_iteratively(
-    elimination: Elimination, coarse: Float[Tensor, "size directions"] | None, options: IterativeOptions
-) -> tuple[Float[Tensor, " size"], Bool[Tensor, ""]]:
+    elimination: Elimination, coarse: Coarse, options: IterativeOptions
+) -> tuple[Vector, Bool[Tensor, ""]]:
     """Step of the damped reduced system, and whether there is one; zero where there is not.
 
     coarse: directions taken exactly. A search that ends early, for want of iterations or because the system
@@ -37,7 +39,7 @@ def solve_iteratively(
     system, damping = elimination.system, elimination.damping
     lift = torch.where(system.dead, 1.0, damping * system.diagonal)
 
-    def times(x: Float[Tensor, " size"]) -> Float[Tensor, " size"]:
+    def times(x: Vector) -> Vector:
         eliminated = elimination.to_reduced(elimination.times_inverse(elimination.to_eliminated(x)))
         return system.apply(x) + lift * x - eliminated
 
@@ -49,8 +51,8 @@ def solve_iteratively(
 
 
 def conjugate_gradients(
-    times: Operator, precondition: Operator, right: Float[Tensor, " size"], tolerance: float, max_iterations: int
-) -> Float[Tensor, " size"]:
+    times: Operator, precondition: Operator, right: Vector, tolerance: float, max_iterations: int
+) -> Vector:
     """x with A x = right, or as near as it came: the search ends when the residual has fallen to `tolerance` of
     the right side in the preconditioner's norm, or where A turns out not to be positive definite."""
     x = torch.zeros_like(right)
@@ -72,12 +74,7 @@ def conjugate_gradients(
     return x
 
 
-def _preconditioner(
-    elimination: Elimination,
-    lift: Float[Tensor, " size"],
-    coarse: Float[Tensor, "size directions"] | None,
-    times: Operator,
-) -> Operator:
+def _preconditioner(elimination: Elimination, lift: Vector, coarse: Coarse, times: Operator) -> Operator:
     """x -> D^-1 x + W (W^T S W)^-1 W^T x."""
     system, plan = elimination.system, elimination.system.plan
     first = REDUCED_SIZE * plan.num_reduced
@@ -97,7 +94,7 @@ def _preconditioner(
         rounding = len(values) * torch.finfo(values.dtype).eps
         small = vectors * torch.where(values > rounding, values.reciprocal(), 0.0) @ vectors.T
 
-    def apply(x: Float[Tensor, " size"]) -> Float[Tensor, " size"]:
+    def apply(x: Vector) -> Vector:
         own = torch.cholesky_solve(x[:first].view(-1, REDUCED_SIZE, 1), factor).flatten()
         local = torch.cat((own, rest * x[first:]))
         return local + basis @ (small @ (basis.T @ x)) if basis.shape[1] else local
@@ -105,7 +102,7 @@ def _preconditioner(
     return apply
 
 
-def _block_diagonal(elimination: Elimination, lift: Float[Tensor, " size"]) -> Float[Tensor, "blocks 6 6"]:
+def _block_diagonal(elimination: Elimination, lift: Vector) -> Float[Tensor, "blocks 6 6"]:
     """The 6x6 diagonal blocks of the damped reduced system."""
     system, m = elimination.system, elimination.system.plan.num_reduced
     first = REDUCED_SIZE * m

@@ -23,6 +23,7 @@ from torchrefrac.optim.plan import CACHED, ELIMINATED_SIZE, SchurPlan
 NEGLIGIBLE = 1e-18
 LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
 DIAGONAL = [LOWER.index((i, i)) for i in range(ELIMINATED_SIZE)]
+Rows = Float[Tensor, "residuals row observations"]
 
 
 class Blocks(NamedTuple):
@@ -58,7 +59,7 @@ class NormalEquations:
 
     plan: SchurPlan
     cost: Float[Tensor, ""]
-    rows: Float[Tensor, "residuals row observations"]
+    rows: Rows
     blocks: tuple[Blocks, ...]
     eliminated_hessian: Float[Tensor, "6 places"]
     eliminated_gradient: Float[Tensor, "3 places"]
@@ -103,7 +104,7 @@ class NormalEquations:
 
 def linearize(
     plan: SchurPlan,
-    rows: Float[Tensor, "residuals row observations"],
+    rows: Rows,
     cost: Float[Tensor, ""],
     terms: Sequence[Blocks] = (),
     null_space: Float[Tensor, "size directions"] | None = None,
@@ -114,9 +115,7 @@ def linearize(
     return NormalEquations(plan, cost, rows, blocks, hessian, gradient, null_space)
 
 
-def _eliminated_sums(
-    plan: SchurPlan, rows: Float[Tensor, "residuals row observations"]
-) -> tuple[Float[Tensor, "6 places"], Float[Tensor, "3 places"]]:
+def _eliminated_sums(plan: SchurPlan, rows: Rows) -> tuple[Float[Tensor, "6 places"], Float[Tensor, "3 places"]]:
     total = rows.new_zeros(len(LOWER) + ELIMINATED_SIZE, plan.num_places)
     for here in in_cache(rows.shape[-1]):
         *by, residual = rows[:, plan.layout.eliminated.start :, here].unbind(dim=1)
@@ -125,7 +124,7 @@ def _eliminated_sums(
     return total[: len(LOWER)], total[len(LOWER) :]
 
 
-def _reduced_blocks(plan: SchurPlan, rows: Float[Tensor, "residuals row observations"]) -> Blocks:
+def _reduced_blocks(plan: SchurPlan, rows: Rows) -> Blocks:
     """J^T J and J^T r of each block: products of matrices with the observations of a block below each other."""
     layout, width = plan.layout, plan.layout.reduced.stop + 1
     total = rows.new_zeros(plan.num_reduced, width, width)

@@ -21,6 +21,7 @@ CHUNK_ELEMENTS = 1 << 19
 CHUNK_GROWTH = 1.15
 GRAM_ROWS = 64
 CACHED = 16384
+Ids = Int[Tensor, " observations"]
 
 
 class Family(NamedTuple):
@@ -66,7 +67,7 @@ class Chunk(NamedTuple):
     tiles: slice
     observations: slice
     reduced: Int[Tensor, "tiles width"]
-    slot: Int[Tensor, " observations"]
+    slot: Ids
 
 
 class GramRows(NamedTuple):
@@ -88,9 +89,9 @@ class SchurPlan:
     reduced block depend on are found among them.
     """
 
-    order: Int[Tensor, " observations"]
-    reduced: Int[Tensor, " observations"]
-    place: Int[Tensor, " observations"]
+    order: Ids
+    reduced: Ids
+    place: Ids
     place_of: Int[Tensor, " eliminated"]
     num_reduced: int
     num_places: int
@@ -102,8 +103,8 @@ class SchurPlan:
     @classmethod
     def create(
         cls,
-        reduced: Int[Tensor, " observations"],
-        eliminated: Int[Tensor, " observations"],
+        reduced: Ids,
+        eliminated: Ids,
         num_reduced: int,
         num_eliminated: int,
         families: Sequence[Family] = (),
@@ -195,15 +196,15 @@ class _Tiling:
 
     place_of: Int[Tensor, " eliminated"]
     num_tiles: int
-    local: Int[Tensor, " observations"]
+    local: Ids
     reduced: Int[Tensor, " listed"]
     width: Int[Tensor, " tiles"]
 
     @classmethod
     def of(
         cls,
-        reduced: Int[Tensor, " observations"],
-        eliminated: Int[Tensor, " observations"],
+        reduced: Ids,
+        eliminated: Ids,
         num_reduced: int,
         num_eliminated: int,
         locality: Shaped[Tensor, " eliminated"] | None,
@@ -225,9 +226,7 @@ class _Tiling:
         listed = (met % num_reduced)[torch.argsort(new_tile[owner], stable=True)]
         return cls(new_tile[tile] * TILE + rank % TILE, num_tiles, local, listed, width[by_width])
 
-    def chunks(
-        self, place: Int[Tensor, " observations"], order: Int[Tensor, " observations"], num_reduced: int
-    ) -> Iterator[Chunk]:
+    def chunks(self, place: Ids, order: Ids, num_reduced: int) -> Iterator[Chunk]:
         """For observations in `order`, at `place`."""
         local, first = self.local[order], torch.cumsum(self.width, dim=0) - self.width
         starts = TILE * _range(self.num_tiles + 1, place)

@@ -84,11 +84,11 @@ class LogFile(SilentRecorder):
 
     @contextmanager
     def meter(self, total: int, description: str, unit: str) -> Iterator[Advance]:
-        start, done, said = time.perf_counter(), 0, ""
+        start, done, latest = time.perf_counter(), 0, ""
 
         def advance(count: int, text: str) -> None:
-            nonlocal done, said
-            done, said = done + count, text or said
+            nonlocal done, latest
+            done, latest = done + count, text or latest
 
         self._write(f"{description} begins: {total} {plural(unit, total)}" if unit else f"{description} begins")
         ended = "broke off"
@@ -99,7 +99,7 @@ class LogFile(SilentRecorder):
             seconds = time.perf_counter() - start
             counted = f": {done}/{total} {plural(unit, total)} in" if unit else " after"
             line = f"{description} {ended}{counted} {seconds:.1f} s"
-            self._write(f"{line}, {said}" if said else line)
+            self._write(f"{line}, {latest}" if latest else line)
 
     def _write(self, text: str) -> None:
         if self._stream is None:
@@ -121,7 +121,7 @@ class LogFile(SilentRecorder):
 
 
 def plural(unit: str, count: int) -> str:
-    """The unit as it is said of `count` of them."""
+    """The unit in the number that `count` asks for."""
     return unit if count == 1 or not unit else f"{unit}s"
 
 

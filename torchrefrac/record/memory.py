@@ -9,7 +9,7 @@ PEAK_IS_NOW = "5"  # see proc(5)
 
 
 def forget_peak_memory() -> None:
-    """Begin to measure anew, where the system can do that (Linux); else the peak is that since the process began."""
+    """Begin to measure again, where the system can do that (Linux); else the peak is that since the process began."""
     try:
         CLEAR.write_text(PEAK_IS_NOW, encoding="ascii")
     except OSError:

@@ -94,7 +94,7 @@ def run_recorders(
 
     about: what the log should say of the run at its beginning, such as its command line. expected: errors whose message
     says it all; the log has the traceback of all others. append: keep the log and the events that lie there, as do runs
-    that go on with an unfinished dense stage; otherwise they are begun anew.
+    that go on with an unfinished dense stage; otherwise they are begun again.
 
     All are closed, and bars that still stand on the terminal ended, whatever happens; an error goes through as it is.
     """

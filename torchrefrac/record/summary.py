@@ -1,4 +1,4 @@
-"""What a command says when it is done."""
+"""What a command prints when it is done."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,7 +8,7 @@ from torchrefrac.record.terminal import wrapped
 
 LEFT_OUT = {
     "lost_images": "images left out, as too few of their points fit",
-    "lost_marks": "marks left out, as they do not fit or are not seen",
+    "lost_marks": "ground control points left out, as they do not fit or are not seen",
     "images_only_in_survey": "images of the survey that the alignment does not have",
 }
 

@@ -28,7 +28,7 @@ COLUMNS = (
     "reprojection_median",
     "registered",
 )
-"""How the names of the metrics begin that come first in the table of runs, which shows few unless told otherwise."""
+"""How the names of the metrics begin that come first in the table of runs, which shows few unless asked for more."""
 LAST = "seconds"
 
 
@@ -43,7 +43,7 @@ class TensorBoardRecorder(SilentRecorder):
         self._hook = threading.excepthook
 
     def __enter__(self) -> "TensorBoardRecorder":
-        self._hook, threading.excepthook = threading.excepthook, self._tell_of_thread
+        self._hook, threading.excepthook = threading.excepthook, self._report_thread
         return self
 
     def __exit__(
@@ -57,10 +57,10 @@ class TensorBoardRecorder(SilentRecorder):
         finally:
             threading.excepthook = self._hook
 
-    def _tell_of_thread(self, failure: threading.ExceptHookArgs) -> None:
+    def _report_thread(self, failure: threading.ExceptHookArgs) -> None:
         """Errors of threads but those of a full disk in TensorBoard's own: it raises them again where it is called."""
-        is_told = isinstance(failure.exc_value, OSError) and type(failure.thread).__module__.startswith("tensorboard.")
-        if not is_told:
+        is_known = isinstance(failure.exc_value, OSError) and type(failure.thread).__module__.startswith("tensorboard.")
+        if not is_known:
             self._hook(failure)
 
     @property

@@ -95,15 +95,15 @@ class _Life:
 
     def __init__(self, stream: TextIO, total: int, description: str, unit: str) -> None:
         self._stream, self._total, self._unit, self._name = stream, total, plural(unit, total), f"{description:<12}"
-        self._start = self._told = time.perf_counter()
-        self._said = ""
+        self._start = self._printed = time.perf_counter()
+        self._latest = ""
         self.done = 0
 
     def advance(self, count: int, text: str) -> None:
-        self.done, self._said = self.done + count, text or self._said
+        self.done, self._latest = self.done + count, text or self._latest
         now = time.perf_counter()
-        if now - self._told >= ALIVE_SECONDS and self.done < self._total:
-            self._told = now
+        if now - self._printed >= ALIVE_SECONDS and self.done < self._total:
+            self._printed = now
             self._print(f"{100 * self.done // self._total} % after {now - self._start:.0f} s")
 
     def end(self, done: str) -> None:
@@ -111,4 +111,4 @@ class _Life:
         self._print(f"{done} {self._unit} in {seconds}" if self._unit else seconds)
 
     def _print(self, text: str) -> None:
-        print(f"{self._name} {text}{', ' if self._said else ''}{self._said}", file=self._stream, flush=True)
+        print(f"{self._name} {text}{', ' if self._latest else ''}{self._latest}", file=self._stream, flush=True)

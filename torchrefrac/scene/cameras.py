@@ -41,19 +41,18 @@ class Cameras:
 
     def __getitem__(self, camera: int) -> Intrinsics:
         """The intrinsics of one."""
-        width, height = self.sizes[camera]
-        return Intrinsics(
-            width, height, self.focal[camera], self.principal_point[camera], self.distortion[camera], check=False
-        )
+        return self._entries(camera, camera)
 
     def of_views(self, camera: Any) -> Intrinsics:
         """The intrinsics of views with the cameras `camera` (*B) as a batch (*B); not batched where there is one camera
         for all. Width and height are those of the first."""
         if len(self) == 1:
             return self[0]
-        return Intrinsics(
-            *self.sizes[0], self.focal[camera], self.principal_point[camera], self.distortion[camera], check=False
-        )
+        return self._entries(0, camera)
+
+    def _entries(self, size: int, camera: Any) -> Intrinsics:
+        focal, principal_point, distortion = self.focal[camera], self.principal_point[camera], self.distortion[camera]
+        return Intrinsics(*self.sizes[size], focal, principal_point, distortion, check=False)
 
     def detached(self) -> "Cameras":
         """The same without a graph."""

@@ -1,5 +1,6 @@
 """A capture: the photographs of one scene and what is known about them."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -67,6 +68,13 @@ class Capture:
         if len(self.interfaces) != 1:
             raise CaptureError(f"{self.folder} has {len(self.interfaces)} interfaces, but only one can be used here")
         return float(self.interfaces.index_ratio[0])
+
+    @property
+    def gravity_metrics(self) -> dict[str, str | float]:
+        """Whether gravity was measured, and how well it is known in degrees, as metrics of a run."""
+        if not self.has_gravity:
+            return {"gravity": "unknown"}
+        return {"gravity": "measured", "gravity_sigma_deg": round(math.degrees(self.down_sigma), 3)}
 
     def of_views(self, rows: Sequence[int]) -> "Capture":
         """Some of the photographs, by their numbers, in this order."""

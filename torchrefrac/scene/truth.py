@@ -1,6 +1,7 @@
 """What is true of a scene: cameras, planes and surface. For evaluation only."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -17,6 +18,7 @@ class Truth:
     rotation: cam_from_world. A plane is corner + s edge1 + t edge2 with s and t from 0 to 1. The water surface, where
     there is one, is z = 0; index_ratio is n_water / n_air, intrinsics those of all photographs, None where they are not
     known. surface: all that cameras see, the planes among it, as triangles; None: there are only the planes.
+    folder: where it was read from.
     """
 
     names: tuple[str, ...]
@@ -29,6 +31,7 @@ class Truth:
     index_ratio: float | None = None
     intrinsics: Intrinsics | None = None
     surface: TriangleMesh | None = None
+    folder: Path | None = None
 
     @property
     def normal(self) -> Float[Tensor, "k 3"]:

@@ -1,6 +1,7 @@
 """Poses without refraction, for the baselines: OpenCV's essential matrix and PnP."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -42,9 +43,10 @@ class PinholeInitializer:
         intrinsics = self.capture.intrinsics
         plane1, plane2 = (intrinsics.plane_from_pixels(p).numpy() for p in pixels)
         threshold = self.options.ransac.max_error / float(intrinsics.focal.mean())
-        essential, mask = cv2.findEssentialMat(
+        found: Any = cv2.findEssentialMat(
             plane1, plane2, np.eye(3), cv2.RANSAC, self.options.ransac.confidence, threshold
         )
+        essential, mask = found
         if essential is None or essential.shape != (3, 3):
             return None
         _, relative, translation, mask = cv2.recoverPose(essential, plane1, plane2, np.eye(3), mask=mask)
@@ -72,7 +74,7 @@ class PinholeInitializer:
         self._seed(generator)
         intrinsics = self.capture.intrinsics
         plane = intrinsics.plane_from_pixels(pixels).numpy()
-        found, rotation_vector, translation, rows = cv2.solvePnPRansac(
+        result: Any = cv2.solvePnPRansac(
             points.numpy(),
             plane,
             np.eye(3),
@@ -82,6 +84,7 @@ class PinholeInitializer:
             confidence=self.options.ransac.confidence,
             flags=cv2.SOLVEPNP_SQPNP,
         )
+        found, rotation_vector, translation, rows = result  # OpenCV's stubs do not know that the last may be None
         if not found or rows is None or len(rows) < MIN_PNP:
             return None
         rotation = torch.from_numpy(cv2.Rodrigues(rotation_vector)[0])

@@ -18,7 +18,7 @@ from torchrefrac.scene import Scene, Truth
 from torchrefrac.sweeps.design import failed_first, has_paper_form, load_runs, scenes_of, what_varied
 from torchrefrac.sweeps.markdown import decimals, markdown_table
 from torchrefrac.sweeps.pictured import FIGURES, shown_together
-from torchrefrac.sweeps.units import error_text, in_header, unit_of
+from torchrefrac.sweeps.units import error_text, in_header, registered, rounded, unit_of
 
 
 def compare(runs: Sequence[Path], folder: Path) -> str:
@@ -91,7 +91,7 @@ def _draw_dense(
 
 def _titles(jobs: Sequence[RunRecord]) -> list[str]:
     """Model, with the dense method where there are several, and with the run folder where that is not unique."""
-    return _told_apart(_names(jobs), jobs)
+    return _distinct(_names(jobs), jobs)
 
 
 def _labels(jobs: Sequence[RunRecord]) -> list[str]:
@@ -99,7 +99,7 @@ def _labels(jobs: Sequence[RunRecord]) -> list[str]:
     labels = _names(jobs)
     if len(scenes_of(job for job in jobs if job.is_complete)) > 1:
         labels = [f"{job.scene or '?'}: {label}" for job, label in zip(jobs, labels, strict=True)]
-    return _told_apart(labels, jobs)
+    return _distinct(labels, jobs)
 
 
 def _names(jobs: Sequence[RunRecord]) -> list[str]:
@@ -110,7 +110,7 @@ def _names(jobs: Sequence[RunRecord]) -> list[str]:
     return [name + (f", {method}" if method else "") for method, name in zip(methods, names, strict=True)]
 
 
-def _told_apart(words: list[str], jobs: Sequence[RunRecord]) -> list[str]:
+def _distinct(words: list[str], jobs: Sequence[RunRecord]) -> list[str]:
     if len(set(words)) == len(words):
         return words
     return [f"{word} [{job.folder.name}]" for word, job in zip(words, jobs, strict=True)]
@@ -133,8 +133,8 @@ def _table(jobs: Sequence[RunRecord], labels: Sequence[str]) -> str:
             rows.append([*row, job.status, *[""] * (len(header) - 2)])
             continue
         row += [error_text(job, jobs, stem) for stem in errors.values()]
-        row += [f"{_rounded(job, 'registered_images')}/{_rounded(job, 'images')}", _rounded(job, "points")]
-        row += [_rounded(job, "reprojection_median_px", 3), _rounded(job, "seconds_total", 1)]
+        row += [registered(job), rounded(job, "points")]
+        row += [rounded(job, "reprojection_median_px", 3), rounded(job, "seconds_total", 1)]
         rows.append(row)
     return markdown_table(header, rows)
 
@@ -152,17 +152,12 @@ def _dense_table(jobs: Sequence[tuple[RunRecord, str]]) -> str:
         header[2:2] = [f"within {TYPICAL:g} {unit}", "found", f"RMS ({unit})"]
     rows = []
     for job, label in jobs:
-        row = [label, _rounded(job, "dense_points")]
+        row = [label, rounded(job, "dense_points")]
         if unit:
             row += [_percent(job.number(f"dense_accuracy_{near}")), _percent(job.number(f"dense_completeness_{found}"))]
             row.append(decimals(job.number(f"dense_plane_rms_{unit}")))
-        rows.append([*row, _rounded(job, "dense_patches_per_s", 0), _rounded(job, "seconds_dense", 1)])
+        rows.append([*row, rounded(job, "dense_patches_per_s", 0), rounded(job, "seconds_dense", 1)])
     return markdown_table(header, rows)
-
-
-def _rounded(job: RunRecord, name: str, places: int = 0) -> str:
-    value = job.number(name)
-    return "-" if value is None else f"{value:.{places}f}"
 
 
 def _percent(share: float | None) -> str:

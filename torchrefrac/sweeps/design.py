@@ -7,27 +7,27 @@ from pathlib import Path
 
 from torchrefrac.files.run import METRICS, RunRecord, RunRecordError, RunStatus
 
-UNSAID = ("out", "hydra")  # keys of a command line that say nothing about the result, with all below them
-PLACES = ("scene.path", "scene.name")  # told by the scene's name already
-METHOD = ("dense", "dense.method")  # which dense stage: told by the metric dense_method
+WITHOUT_EFFECT = ("out", "hydra")  # keys of a command line that do not change the result, with all below them
+PLACES = ("scene.path", "scene.name")  # which the scene's name stands for
+METHOD = ("dense", "dense.method")  # which dense stage, as does the metric dense_method
 
 
 @dataclass(frozen=True)
 class Design:
     """What differs between the jobs, by keys of the command line beside scene and model.
 
-    x: what the figures have along their horizontal axis, None without a number that was varied; told_apart: every other
-    key, in the order of the command line; averaged: seeds, which are alike.
+    x: what the figures have along their horizontal axis, None without a number that was varied; distinguished: every
+    other key, in the order of the command line; averaged: seeds, which are alike.
     """
 
     x: str | None
-    told_apart: tuple[str, ...]
+    distinguished: tuple[str, ...]
     averaged: tuple[str, ...]
 
     @property
     def keys(self) -> tuple[str, ...]:
         """All of them, x first."""
-        return (*([self.x] if self.x else []), *self.told_apart, *self.averaged)
+        return (*([self.x] if self.x else []), *self.distinguished, *self.averaged)
 
 
 def load_runs(folders: Sequence[Path]) -> list[RunRecord]:
@@ -59,7 +59,7 @@ def what_varied(jobs: Sequence[RunRecord]) -> Design:
     """
     known = [job for job in jobs if job.overrides]
     keys = dict.fromkeys(key for job in known for key in job.overrides)
-    varied = [key for key in keys if _says_something(key) and len({job.overrides.get(key) for job in known}) > 1]
+    varied = [key for key in keys if _has_effect(key) and len({job.overrides.get(key) for job in known}) > 1]
     varied = [key for key in varied if key not in PLACES or not _follows_scene(known, key)]
     averaged = tuple(key for key in varied if short_key(key) == "seed")
     others = [key for key in varied if key not in averaged]
@@ -69,8 +69,8 @@ def what_varied(jobs: Sequence[RunRecord]) -> Design:
     return Design(x, tuple(key for key in others if key != x), averaged)
 
 
-def _says_something(key: str) -> bool:
-    return key not in ("scene", "model") and key.partition(".")[0] not in UNSAID
+def _has_effect(key: str) -> bool:
+    return key not in ("scene", "model") and key.partition(".")[0] not in WITHOUT_EFFECT
 
 
 def _follows_scene(jobs: Sequence[RunRecord], key: str) -> bool:

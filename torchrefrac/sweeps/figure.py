@@ -12,8 +12,8 @@ from torchrefrac.figures.side_views import INK
 from torchrefrac.files.run import RunRecord
 from torchrefrac.sweeps.axes import set_heights, set_places
 from torchrefrac.sweeps.design import Design, scenes_of
+from torchrefrac.sweeps.drawing import draw_spots, draw_true_ratio, legend_handles
 from torchrefrac.sweeps.lines import Line, Spot, lines_of, places_of, spots_of
-from torchrefrac.sweeps.marks import draw_spots, draw_true_ratio, legend_handles
 from torchrefrac.sweeps.units import unit_of
 
 AGAINST_TRUTH = (
@@ -62,7 +62,7 @@ def draw_sweep(jobs: Sequence[RunRecord], design: Design, path: Path) -> bool:
     """Write the figure; returns False, and writes none, where no job is complete.
 
     Scenes of which no job is complete are left out. Rows are the errors against truth that the jobs have, else what can
-    be told without it.
+    be known without it.
     """
     complete = [job for job in jobs if job.is_complete]
     measures, scenes, lines = measures_of(complete), scenes_of(complete), lines_of(jobs, design)
@@ -77,7 +77,7 @@ def draw_sweep(jobs: Sequence[RunRecord], design: Design, path: Path) -> bool:
     legend = 0.22 * math.ceil(len(handles) / per_row) + 0.5
     figure = blank_figure(width + 0.7, blocks * (PANEL_HEIGHT * len(measures) + 0.4) + legend)
     grid = figure.subplots(blocks * len(measures), columns, squeeze=False)
-    # A job that tells nothing of itself may belong anywhere: each line is broken where it lacks a place of the others.
+    # A job of which nothing is known may belong anywhere: each line is broken where it lacks a place of the others.
     is_torn = design.x is not None and any(not (job.overrides or job.is_complete) for job in jobs)
     expected = places_of(lines, design.x) if is_torn and design.x is not None else []
     for row, measure in enumerate(measures):

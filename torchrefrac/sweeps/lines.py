@@ -43,15 +43,15 @@ class Spot:
 
 
 def lines_of(jobs: Sequence[RunRecord], design: Design) -> list[Line]:
-    """A line for each model and each combination of what else is told apart, in the order of the jobs.
+    """A line for each model and each combination of what else differs, in the order of the jobs.
 
     A model has the same colour in all figures; several lines of one model differ by shade and dashes.
     """
-    told = [job for job in jobs if job.model or job.overrides]
+    known = [job for job in jobs if job.model or job.overrides]
     groups: dict[tuple[str, ...], list[RunRecord]] = {}
-    for job in told:
-        groups.setdefault((job.model, *(job.overrides.get(key, "") for key in design.told_apart)), []).append(job)
-    models = list(dict.fromkeys(job.model for job in told))
+    for job in known:
+        groups.setdefault((job.model, *(job.overrides.get(key, "") for key in design.distinguished)), []).append(job)
+    models = list(dict.fromkeys(job.model for job in known))
     strangers = [model for model in models if model not in MODEL_COLORS]
     lines = []
     for group, members in groups.items():
@@ -117,7 +117,7 @@ def is_partial(job: RunRecord) -> bool:
 def _label(model: str, values: Sequence[str], design: Design, several_models: bool) -> str:
     short = short_keys(design.keys)
     words = [TITLES.get(model, model or "unknown model")] if several_models or not values else []
-    for key, value in zip(design.told_apart, values, strict=True):
+    for key, value in zip(design.distinguished, values, strict=True):
         words.append(f"{short[key]} {value or '-'}" if "." in key or not value else value)
     return ", ".join(words)
 

@@ -44,13 +44,13 @@ def write_summary(folder: Path, runs: Sequence[Path], to_come: Sequence[str] = (
     design = what_varied(jobs)
     if not draw_sweep(jobs, design, folder / "summary.png"):
         (folder / "summary.png").unlink(missing_ok=True)
-    said = Summary(failed_jobs(jobs, design), results_table(jobs, design))
+    summary = Summary(failed_jobs(jobs, design), results_table(jobs, design))
     with replacing(folder / "summary.csv") as temporary:
         temporary.write_text(csv_text(jobs, design), encoding="utf-8", newline="")
     links = _links(folder, jobs, design, to_come)
     with replacing(folder / "summary.md") as temporary:
-        temporary.write_text("\n\n".join(filter(None, (*said, links))) + "\n", encoding="utf-8")
-    return said
+        temporary.write_text("\n\n".join(filter(None, (*summary, links))) + "\n", encoding="utf-8")
+    return summary
 
 
 def failed_jobs(jobs: Sequence[RunRecord], design: Design) -> str:
@@ -61,12 +61,12 @@ def failed_jobs(jobs: Sequence[RunRecord], design: Design) -> str:
     lines = [f"{len(failed)} of {len(jobs)} jobs failed:" if len(jobs) > 1 else "The job failed:", ""]
     short = short_keys(design.keys)
     for job in failed:
-        said = [
+        parts = [
             job.scene,
             job.model,
             *(f"{short[key]}={job.overrides[key]}" for key in design.keys if key in job.overrides),
         ]
-        about = ", ".join(word for word in said if word)
+        about = ", ".join(word for word in parts if word)
         state = "" if job.status == "failed" else f"{job.status}: "
         lines.append(wrapped(f"- {job.folder.name}{f' ({about})' if about else ''}: {state}{job.reason}"))
     return "\n".join(lines)

@@ -10,7 +10,7 @@ from torchrefrac.record.terminal import WIDTH
 from torchrefrac.sweeps.design import Design, failed_first, scenes_of, short_keys
 from torchrefrac.sweeps.figure import measures_of
 from torchrefrac.sweeps.markdown import markdown_table
-from torchrefrac.sweeps.units import error_text, in_header
+from torchrefrac.sweeps.units import error_text, in_header, registered, rounded
 
 ABOUT = ("job", "status", "reason", "scene", "model")
 BRIEF = {"camera RMS": "camera", "3D error": "3D", "flatness": "flat", "dense error": "dense"}
@@ -19,11 +19,11 @@ NOTHING = "-"
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the table: names from long to short, what a job has in it; is_spare: may go where width is short."""
+    """A column of the table: names from long to short, what a job has in it; is_extra: may go where width is short."""
 
     names: tuple[str, ...]
     cell: Callable[[RunRecord], str]
-    is_spare: bool = False
+    is_extra: bool = False
 
 
 def csv_text(jobs: Sequence[RunRecord], design: Design) -> str:
@@ -48,7 +48,7 @@ def csv_text(jobs: Sequence[RunRecord], design: Design) -> str:
 def results_table(jobs: Sequence[RunRecord], design: Design) -> str:
     """The complete jobs in Markdown, at most as wide as a terminal for usual sweeps; empty without such jobs.
 
-    Names are shortened and spare columns left out, the last first, until it fits.
+    Names are shortened and extra columns left out, the last first, until it fits.
     """
     complete = [job for job in jobs if job.is_complete]
     if not complete:
@@ -56,12 +56,12 @@ def results_table(jobs: Sequence[RunRecord], design: Design) -> str:
     columns = _columns(complete, jobs, design)
     table = _render(columns, complete, 0)
     for shortness in (0, 1):
-        kept = columns
-        table = _render(kept, complete, shortness)
-        while _width(table) > WIDTH and shortness and any(column.is_spare for column in kept):
-            last = max(i for i, column in enumerate(kept) if column.is_spare)
-            kept = kept[:last] + kept[last + 1 :]
-            table = _render(kept, complete, shortness)
+        chosen = columns
+        table = _render(chosen, complete, shortness)
+        while _width(table) > WIDTH and shortness and any(column.is_extra for column in chosen):
+            last = max(i for i, column in enumerate(chosen) if column.is_extra)
+            chosen = chosen[:last] + chosen[last + 1 :]
+            table = _render(chosen, complete, shortness)
         if _width(table) <= WIDTH:
             break
     return table
@@ -77,7 +77,7 @@ def _columns(complete: Sequence[RunRecord], jobs: Sequence[RunRecord], design: D
     columns += [Column((short[key],), _setting(key)) for key in design.keys]
     if len({tuple(column.cell(job) for column in columns) for job in complete}) < len(complete):
         columns.insert(0, Column(("job",), lambda job: job.folder.name))
-    columns.append(Column(("registered", "reg."), _registered))
+    columns.append(Column(("registered", "reg."), registered))
     for measure in measures_of(complete):
         title = measure.title.split(",")[0]
         if not measure.has_unit:
@@ -89,7 +89,7 @@ def _columns(complete: Sequence[RunRecord], jobs: Sequence[RunRecord], design: D
         columns.append(Column(names, _error(measure.metric, complete)))
     if any(job.number("index_ratio_sigma") is not None for job in complete):
         columns.append(Column(("estimated ratio", "ratio"), _estimated))
-    columns.append(Column(("seconds", "s"), _seconds, is_spare=True))
+    columns.append(Column(("seconds", "s"), lambda job: rounded(job, "seconds_total", 1), is_extra=True))
     return columns
 
 
@@ -104,11 +104,6 @@ def _width(table: str) -> int:
 
 def _setting(key: str) -> Callable[[RunRecord], str]:
     return lambda job: job.overrides.get(key) or NOTHING
-
-
-def _registered(job: RunRecord) -> str:
-    counts = (job.number("registered_images"), job.number("images"))
-    return "/".join(NOTHING if count is None else f"{count:.0f}" for count in counts)
 
 
 def _metric(name: str) -> Callable[[RunRecord], str]:
@@ -126,10 +121,4 @@ def _error(stem: str, jobs: Sequence[RunRecord]) -> Callable[[RunRecord], str]:
 
 
 def _estimated(job: RunRecord) -> str:
-    ratio = job.number("index_ratio") if job.number("index_ratio_sigma") is not None else None
-    return NOTHING if ratio is None else f"{ratio:.4f}"
-
-
-def _seconds(job: RunRecord) -> str:
-    seconds = job.number("seconds_total")
-    return NOTHING if seconds is None else f"{seconds:.1f}"
+    return NOTHING if job.number("index_ratio_sigma") is None else rounded(job, "index_ratio", 4)

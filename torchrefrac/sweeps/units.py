@@ -25,6 +25,17 @@ def error_text(job: RunRecord, jobs: Sequence[RunRecord], stem: str) -> str:
     return decimals(value) + (f" {unit}" if value is not None and len(_units(jobs, stem)) > 1 else "")
 
 
+def rounded(job: RunRecord, name: str, places: int = 0) -> str:
+    """A metric with so many places; a dash where the job has none."""
+    value = job.number(name)
+    return "-" if value is None else f"{value:.{places}f}"
+
+
+def registered(job: RunRecord) -> str:
+    """How many images are registered, of how many."""
+    return f"{rounded(job, 'registered_images')}/{rounded(job, 'images')}"
+
+
 def _units(jobs: Sequence[RunRecord], stem: str) -> set[str]:
     return {unit_of([job], stem) for job in jobs} - {""}
 

@@ -52,7 +52,7 @@ def made_scene(options: SyntheticOptions, cache: Path | None = None, recorder: R
 
 
 def default_cache() -> Path:
-    """Where made scenes are kept unless something else is said."""
+    """Where made scenes are kept by default."""
     given = os.environ.get("TORCHREFRAC_CACHE")
     if given:
         return Path(given)

@@ -4,7 +4,7 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from torchrefrac.checks import require
+from torchrefrac.checks import require, require_between
 from torchrefrac.files.capture import MAX_INDEX_RATIO
 
 MAX_SAMPLES = 16
@@ -20,11 +20,9 @@ class WaveOptions:
     components: int = 8
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.rms_slope <= 0.3:
-            raise ValueError(f"rms_slope is {self.rms_slope:g}, but must lie between 0 (calm) and 0.3")
+        require_between(self.rms_slope, "rms_slope", 0.0, 0.3)
         require(self.longest, "longest", above=0.0)
-        if not 1 <= self.components <= 64:
-            raise ValueError(f"components is {self.components}, but must lie between 1 and 64")
+        require_between(self.components, "components", 1, 64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,10 +36,8 @@ class CameraOptions:
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
-            if not 16 <= getattr(self, name) <= 20000:
-                raise ValueError(f"{name} is {getattr(self, name)}, but must lie between 16 and 20000 pixels")
-        if not 1.0 <= self.fov_deg <= 150.0:
-            raise ValueError(f"fov_deg is {self.fov_deg:g}, but must lie between 1 and 150 degrees")
+            require_between(getattr(self, name), name, 16, 20000, "pixels")
+        require_between(self.fov_deg, "fov_deg", 1.0, 150.0, "degrees")
         if len(self.distortion) != 5 or not all(map(math.isfinite, self.distortion)):
             raise ValueError(f"distortion is {list(self.distortion)}, but must be five numbers: k1, k2, p1, p2, k3")
 
@@ -60,8 +56,7 @@ class SensorOptions:
     noise: float = 1.0
 
     def __post_init__(self) -> None:
-        if not 1 <= self.samples <= MAX_SAMPLES:
-            raise ValueError(f"samples is {self.samples}, but must lie between 1 and {MAX_SAMPLES}")
+        require_between(self.samples, "samples", 1, MAX_SAMPLES)
         require(self.blur, "blur", at_least=0.0)
         require(self.noise, "noise", at_least=0.0)
 
@@ -80,8 +75,7 @@ class InertialOptions:
     heading_sigma_deg: float | None = 5.0
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.gravity_sigma_deg <= 30.0:
-            raise ValueError(f"gravity_sigma_deg is {self.gravity_sigma_deg:g}, but must lie between 0 and 30 degrees")
+        require_between(self.gravity_sigma_deg, "gravity_sigma_deg", 0.0, 30.0, "degrees")
         if len(self.gravity_bias_deg) != 2 or not all(abs(turn) <= 30.0 for turn in self.gravity_bias_deg):
             raise ValueError(
                 f"gravity_bias_deg is {list(self.gravity_bias_deg)}, but must be two angles up to 30 degrees"
@@ -120,11 +114,7 @@ class SyntheticOptions:
         return {"scene": type(self).__name__, **asdict(self)}
 
     def __post_init__(self) -> None:
-        if not 1.0 <= self.index_ratio <= MAX_INDEX_RATIO:
-            raise ValueError(
-                f"index_ratio is {self.index_ratio:g}, but must lie between 1 and {MAX_INDEX_RATIO:g} (water: 1.333)"
-            )
+        require_between(self.index_ratio, "index_ratio", 1.0, MAX_INDEX_RATIO, "(water: 1.333)")
         if len(self.plane_tilt_deg) != 2 or not all(abs(turn) <= 45.0 for turn in self.plane_tilt_deg):
             raise ValueError(f"plane_tilt_deg is {list(self.plane_tilt_deg)}, but must be two angles up to 45 degrees")
-        if not 0.0 <= self.reflection <= 255.0:
-            raise ValueError(f"reflection is {self.reflection:g}, but must be a grey value from 0 to 255")
+        require_between(self.reflection, "reflection", 0.0, 255.0)

@@ -16,7 +16,7 @@ PIXEL_TOLERANCE = 1e-3
 def rehearse(photographer: Photographer, options: SyntheticOptions, names: Sequence[str]) -> None:
     """Refuse what would make photographs that nobody can use.
 
-    Raises StageError, one sentence, where the lens folds the image over itself, a camera does not stand above the
+    Raises StageError, one sentence, where the distortion folds the image over itself, a camera does not stand above the
     water, an image sees the scene in less than a quarter of a coarse grid of pixels, or no pixel of any image sees
     anything through the water.
     """

@@ -3,6 +3,7 @@
 import struct
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -49,7 +50,7 @@ class _Records:
                 "export the model again"
             )
 
-    def take(self, layout: struct.Struct) -> tuple:
+    def take(self, layout: struct.Struct) -> tuple[Any, ...]:
         return layout.unpack_from(self.data, self.skip(layout.size))
 
     def skip(self, size: int) -> int:

@@ -2,15 +2,14 @@
 
 from collections.abc import Sequence
 
-from torchrefrac.checks import require
+from torchrefrac.checks import require, require_between
 
 MAX_IMAGES = 500
 
 
 def require_images(images: int, name: str = "images", *, at_least: int = 2) -> None:
     """Refuse too few photographs to reconstruct from, and more than anyone means to render."""
-    if not at_least <= images <= MAX_IMAGES:
-        raise ValueError(f"{name} is {images}, but must lie between {at_least} and {MAX_IMAGES}")
+    require_between(images, name, at_least, MAX_IMAGES)
 
 
 def require_heights(heights: Sequence[float]) -> None:

@@ -114,8 +114,8 @@ def _load(path: Path) -> "trimesh.Trimesh":
     try:
         mesh = trimesh.load(path, force="mesh", process=False)
     except UNREADABLE as error:
-        told = " ".join(str(error).split()) or type(error).__name__
-        raise StageError(f"scene.file: {path} cannot be read as a mesh: {told}") from None
+        problem = " ".join(str(error).split()) or type(error).__name__
+        raise StageError(f"scene.file: {path} cannot be read as a mesh: {problem}") from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise StageError(f"scene.file: {path} holds no triangles, but must be a mesh")
     if int(mesh.faces.max()) >= len(mesh.vertices) or int(mesh.faces.min()) < 0:

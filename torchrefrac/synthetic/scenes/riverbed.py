@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.checks import require
+from torchrefrac.checks import require, require_between
 from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.synthetic.options import SyntheticOptions
 from torchrefrac.synthetic.paths import grid, look_at, ring, rolls
@@ -46,14 +46,12 @@ class RiverbedOptions(SyntheticOptions):
         if self.depth > self.altitude:
             raise ValueError(f"depth is {self.depth:g}, but must be at most the drone's altitude of {self.altitude:g}")
         for name in ("columns", "rows"):
-            if not 1 <= getattr(self, name) <= 20:
-                raise ValueError(f"{name} is {getattr(self, name)}, but must lie between 1 and 20")
+            require_between(getattr(self, name), name, 1, 20)
         if self.columns * self.rows < 2:
             raise ValueError("columns and rows are both 1, but must be two photographs or more together")
         require(self.overlap, "overlap", at_least=0.3, at_most=0.95)
         for name, most in (("obliques", MAX_IMAGES), ("boulders", 5000)):
-            if not 0 <= getattr(self, name) <= most:
-                raise ValueError(f"{name} is {getattr(self, name)}, but must lie between 0 and {most}")
+            require_between(getattr(self, name), name, 0, most)
         if self.position_sigma is not None:
             require(self.position_sigma, "position_sigma", above=0.0)
 
