@@ -17,11 +17,11 @@ if TYPE_CHECKING:
         remove_refraction,
         to_kornia,
     )
-    from torchrefrac.checks import TorchrefracError
     from torchrefrac.commands.adjust import adjust
     from torchrefrac.commands.reconstruct import reconstruct
     from torchrefrac.config import Options
     from torchrefrac.dense import DenseOptions, densify, patch_costs
+    from torchrefrac.errors import TorchrefracError
     from torchrefrac.evaluate.metrics import evaluate
     from torchrefrac.files.cameras import load_cameras
     from torchrefrac.files.capture import load_capture
@@ -50,11 +50,11 @@ __version__ = "0.1.0"
 _HOME = {
     "bundle": ("BundleOptions", "adjust_differentiably"),
     "camera": ("Intrinsics", "LearnableCamera", "RefractiveCamera", "from_kornia", "remove_refraction", "to_kornia"),
-    "checks": ("TorchrefracError",),
     "commands.adjust": ("adjust",),
     "commands.reconstruct": ("reconstruct",),
     "config": ("Options",),
     "dense": ("DenseOptions", "densify", "patch_costs"),
+    "errors": ("TorchrefracError",),
     "evaluate.metrics": ("evaluate",),
     "files.cameras": ("load_cameras",),
     "files.capture": ("load_capture",),

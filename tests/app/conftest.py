@@ -5,7 +5,7 @@ import json
 import shutil
 import sys
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -18,6 +18,7 @@ from torchrefrac.commands import reconstruct as pipeline
 from torchrefrac.config import Options
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.library import embedded_scene
+from torchrefrac.files.truth import load_truth
 from torchrefrac.recorder import SilentRecorder
 
 
@@ -114,7 +115,8 @@ def _make_sparse(folder):
     (capture / "capture.json").write_text(json.dumps(content))
     for path in (capture / "images").iterdir():
         cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), (320, 240), interpolation=cv2.INTER_AREA))
-    pipeline.run(load_capture(capture), Options(), SilentRecorder(), folder / "run")
+    recorder, truth = SilentRecorder(), load_truth(capture)
+    pipeline.run(load_capture(capture), Options(), recorder, folder / "run", truth=truth)
 
 
 @pytest.fixture(scope="session")
@@ -127,10 +129,11 @@ def sparse(made_once):
 @pytest.fixture
 def known_sparse(monkeypatch, sparse):
     """A run finds its sparse model at once."""
-    known = densification.open_run(sparse / "run").reconstruction
+    known = densification.open_run(sparse / "run").scene
 
-    def reconstruct(_capture, _options, _recorder, on_stage):
-        on_stage("sparse", known, 0.0)
-        return known
+    def reconstruct(capture, _options, _recorder, on_stage):
+        scene = replace(known, capture=capture)
+        on_stage("sparse", scene, 0.0)
+        return scene
 
     monkeypatch.setattr(pipeline, "reconstruct", reconstruct)

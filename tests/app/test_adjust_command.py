@@ -1,4 +1,4 @@
-"""`torchrefrac adjust` as a person uses it: an alignment in files goes in, a better one comes out."""
+"""`torchrefrac adjust` as a person uses it: a reconstruction in files goes in, a better one comes out."""
 
 import json
 from dataclasses import replace
@@ -7,16 +7,16 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 
-from tests.planted_alignments import plant_alignment
+from tests.planted_reconstructions import plant_reconstruction
 from torchrefrac.cli.composed import adjust_options
 from torchrefrac.cli.conf import CONF
 from torchrefrac.commands import adjust as readjustment
 from torchrefrac.config import AdjustOptions, OptionError, PlaneOptions, build
 from torchrefrac.files.cameras import load_points, write_cameras
 from torchrefrac.files.colmap.model import read_colmap, write_colmap
-from torchrefrac.files.tracks import read_alignment, write_tracks
+from torchrefrac.files.tracks import read_scene, write_tracks
 from torchrefrac.files.water import read_water, write_water
-from torchrefrac.scene import Reconstruction
+from torchrefrac.scene import Interfaces
 
 RESULTS = {
     "run.log",
@@ -34,23 +34,28 @@ RESULTS = {
 @pytest.fixture
 def planted(make_basin, draw):
     """Six cameras above 150 points, 0.3 pixels of noise."""
-    return plant_alignment(make_basin(cameras=6, points=150, seen_by=3), draw, noise=0.3)
+    return plant_reconstruction(make_basin(cameras=6, points=150, seen_by=3), draw, noise=0.3)
 
 
 @pytest.fixture
 def given(planted, draw, tmp_path):
-    """Folder of the alignment that a pinhole makes of it, as text."""
+    """Folder of the reconstruction that a pinhole makes of it, as text."""
     write_colmap(planted.as_of_a_pinhole(draw), tmp_path / "given")
     return tmp_path / "given"
 
 
 def _write_truth(planted, folder):
     """`truth.json` of the cameras, in centimetres."""
-    truth = planted.truth
-    poses = zip(truth.names, truth.rotation.tolist(), truth.center.tolist(), strict=True)
+    views = planted.truth.views
+    poses = zip(views.names, views.rotation.tolist(), views.center.tolist(), strict=True)
     images = [{"name": n, "cam_from_world_rotation": r, "center_in_world": c} for n, r, c in poses]
     folder.mkdir(exist_ok=True)
     (folder / "truth.json").write_text(json.dumps({"length_unit": "cm", "images": images}))
+
+
+def _water(folder):
+    """The one surface in the water.json of a folder."""
+    return read_water(folder / "water.json", ())[0]
 
 
 def _write_survey(path, images=None, marks=None):
@@ -75,7 +80,7 @@ def test_a_colmap_model_goes_in_and_comes_out_right(torchrefrac, planted, draw, 
     }
     adjusted = read_colmap(run / "colmap")
     assert float(planted.off(adjusted).max()) < 0.2
-    assert float(planted.off(read_alignment(tmp_path / "given")).max()) > 0.5
+    assert float(planted.off(read_scene(tmp_path / "given")).max()) > 0.5
     found = metrics(run)
     assert (found["status"], found["command"], found["adjustment"]) == ("complete", "adjust", "converged")
     assert (found["images"], found["adjusted_images"], found["points"]) == (6, 6, len(adjusted.points))
@@ -100,17 +105,17 @@ def test_points_carry_their_standard_deviations(torchrefrac, planted, given, tmp
     assert float((points - planted.truth.points).norm(dim=-1).median()) < 3.0
 
 
-def test_the_result_is_an_alignment_that_can_be_adjusted_again(torchrefrac, planted, given, metrics, tmp_path):
+def test_the_result_is_a_reconstruction_that_can_be_adjusted_again(torchrefrac, planted, given, metrics, tmp_path):
     torchrefrac("adjust", f"alignment={given}", "index_ratio=1.33", "out=first")
 
     ended = torchrefrac("adjust", "alignment=first", "water.path=first/water.json", "out=second")
 
     assert ended.status == 0
     assert metrics(tmp_path / "second")["camera_shift_max_unit"] < 1e-3
-    assert read_water(tmp_path / "second" / "water.json").index_ratio == 1.33
-    again = read_alignment(tmp_path / "second")
-    assert again.names == planted.truth.names
-    torch.testing.assert_close(again.center, read_colmap(tmp_path / "second" / "colmap").center)
+    assert _water(tmp_path / "second").index_ratio == 1.33
+    again = read_scene(tmp_path / "second")
+    assert again.views.names == planted.truth.views.names
+    torch.testing.assert_close(again.views.center, read_colmap(tmp_path / "second" / "colmap").views.center)
 
 
 def test_the_index_ratio_is_found_where_it_may_vary(torchrefrac, planted, given, metrics, tmp_path):
@@ -119,16 +124,17 @@ def test_the_index_ratio_is_found_where_it_may_vary(torchrefrac, planted, given,
     assert ended.status == 0
     found = metrics(tmp_path / "run")
     assert abs(found["index_ratio"] - 1.33) < 4.0 * found["index_ratio_sigma"] < 0.05
-    assert read_water(tmp_path / "run" / "water.json").index_ratio == found["index_ratio"]
+    assert _water(tmp_path / "run").index_ratio == found["index_ratio"]
     assert f"index ratio {found['index_ratio']:.4f} +- " in ended.out
 
 
 def test_a_survey_fixes_the_scale(torchrefrac, planted, draw, metrics, tmp_path):
-    pinhole = planted.as_of_a_pinhole(draw)
-    write_colmap(replace(pinhole, center=0.3 * pinhole.center, points=0.3 * pinhole.points), tmp_path / "given")
+    pinhole, truth = planted.as_of_a_pinhole(draw), planted.truth.views
+    smaller = pinhole.views.at(pinhole.views.rotation, 0.3 * pinhole.views.center)
+    write_colmap(replace(pinhole, views=smaller, points=0.3 * pinhole.points), tmp_path / "given")
     heights = {
         name: {"height": float(center[2]), "height_sigma": 0.05}
-        for name, center in zip(planted.truth.names, planted.truth.center, strict=True)
+        for name, center in zip(truth.names, truth.center, strict=True)
     }
     _write_survey(tmp_path / "survey.json", heights | {"other.jpg": {"height": 3.0, "height_sigma": 1.0}})
 
@@ -136,55 +142,58 @@ def test_a_survey_fixes_the_scale(torchrefrac, planted, draw, metrics, tmp_path)
 
     assert ended.status == 0
     adjusted = read_colmap(tmp_path / "run" / "colmap")
-    torch.testing.assert_close(adjusted.center[:, 2], planted.truth.center[:, 2], rtol=0.0, atol=0.15)
+    torch.testing.assert_close(adjusted.views.center[:, 2], truth.center[:, 2], rtol=0.0, atol=0.15)
     assert "images of the survey that the alignment does not have: other.jpg" in ended.out
     assert not any(line == "scale, relative: not determined" for line in metrics(tmp_path / "run")["determined"])
 
 
 def test_marks_are_adjusted_too_but_are_not_in_the_model(torchrefrac, planted, given, metrics, tmp_path):
-    marks = {}
+    marks, truth = {}, planted.truth
     for point in range(4):
-        rows = (planted.truth.point == point).nonzero()[:, 0].tolist()
-        seen = {planted.truth.names[int(planted.truth.image[row])]: planted.truth.pixels[row].tolist() for row in rows}
-        marks[f"m{point}"] = {"observations": seen, "position": planted.truth.points[point].tolist(), "sigma": 0.02}
+        of_point = truth.observations[truth.observations.point == point]
+        names = [truth.views.names[view] for view in of_point.view.tolist()]
+        seen = dict(zip(names, of_point.pixels.tolist(), strict=True))
+        marks[f"m{point}"] = {"observations": seen, "position": truth.points[point].tolist(), "sigma": 0.02}
     _write_survey(tmp_path / "survey.json", marks=marks)
 
     torchrefrac("adjust", f"alignment={given}", "index_ratio=1.33", "survey=survey.json", "out=run")
 
     adjusted = read_colmap(tmp_path / "run" / "colmap")
     assert len(adjusted.points) == 150
-    torch.testing.assert_close(adjusted.center, planted.truth.center, rtol=0.0, atol=0.5)
-    assert metrics(tmp_path / "run")["marks"]["m3"] == pytest.approx(planted.truth.points[3].tolist(), abs=0.1)
+    torch.testing.assert_close(adjusted.views.center, truth.views.center, rtol=0.0, atol=0.5)
+    assert metrics(tmp_path / "run")["marks"]["m3"] == pytest.approx(truth.points[3].tolist(), abs=0.1)
 
 
-def test_several_lenses_and_planes_go_through(torchrefrac, make_basin, draw, metrics, tmp_path):
-    planted = plant_alignment(make_basin(cameras=6, points=100, seen_by=3), draw, 0.2, lenses=2, planes=2)
+def test_several_cameras_and_interfaces_go_through(torchrefrac, make_basin, draw, metrics, tmp_path):
+    planted = plant_reconstruction(make_basin(cameras=6, points=100, seen_by=3), draw, 0.2, intrinsics=2, interfaces=2)
     write_colmap(planted.as_of_a_pinhole(draw, 0.1), tmp_path / "given")
-    write_water(planted.water, tmp_path / "given" / "water.json")
+    write_water(planted.truth, tmp_path / "given" / "water.json")
 
     ended = torchrefrac("adjust", "alignment=given", "water.path=given/water.json", "out=run")
 
     assert ended.status == 0
     assert {path.name for path in (tmp_path / "run").iterdir()} == RESULTS - {"cameras.json"}
     adjusted = read_colmap(tmp_path / "run" / "colmap")
-    assert [lens.width for lens in adjusted.lenses] == [1024, 1040]
-    assert torch.equal(adjusted.lens, planted.truth.lens)
+    assert [width for width, _ in adjusted.cameras.sizes] == [1024, 1040]
+    assert torch.equal(adjusted.views.camera, planted.truth.views.camera)
     assert metrics(tmp_path / "run")["reprojection_median_px"] < 0.4
-    water = read_water(tmp_path / "run" / "water.json")
-    assert torch.equal(water.planes_of(adjusted.names), planted.water.planes_of(adjusted.names))
+    _, interface = read_water(tmp_path / "run" / "water.json", adjusted.views.names)
+    assert adjusted.views.names == planted.truth.views.names
+    assert torch.equal(interface, planted.truth.views.interface)
 
 
 def test_the_water_level_is_found(torchrefrac, planted, draw, metrics, tmp_path):
     pinhole = planted.as_of_a_pinhole(draw)
-    up = pinhole.center.new_tensor((0.0, 0.0, 250.0))
-    write_colmap(replace(pinhole, center=pinhole.center + up, points=pinhole.points + up), tmp_path / "given")
+    up = pinhole.points.new_tensor((0.0, 0.0, 250.0))
+    raised = pinhole.views.at(pinhole.views.rotation, pinhole.views.center + up)
+    write_colmap(replace(pinhole, views=raised, points=pinhole.points + up), tmp_path / "given")
     _write_truth(planted, tmp_path / "truth")
 
     ended = torchrefrac("adjust", "alignment=given", "plane.offset=find", "index_ratio=1.33", "truth=truth", "out=run")
 
     assert ended.status == 0
     assert metrics(tmp_path / "run")["camera_rms_cm"] < 0.2
-    assert float(read_water(tmp_path / "run" / "water.json").offset) == pytest.approx(250.0, abs=8.0)
+    assert float(_water(tmp_path / "run").offset) == pytest.approx(250.0, abs=8.0)
     assert not (tmp_path / "run" / "cameras.json").exists()
 
 
@@ -197,14 +206,9 @@ def test_what_is_not_determined_is_held_and_said(torchrefrac, given, metrics, tm
     assert f"not refined: {told}" in ended.out
 
 
-def _save_run(alignment, folder):
-    """As a run leaves it: cameras.json and tracks.npz."""
-    everyone = torch.ones(len(alignment), dtype=torch.bool)
-    scene = Reconstruction(
-        names=alignment.names, registered=everyone, rotation=alignment.rotation, center=alignment.center,
-        intrinsics=alignment.lenses[0], index_ratio=1.0, length_unit="cm", points=alignment.points,
-        colors=alignment.colors, image=alignment.image, point=alignment.point, pixels=alignment.pixels,
-    )  # fmt: skip
+def _save_run(scene, folder):
+    """As a run without refraction leaves it, in centimetres: cameras.json and tracks.npz."""
+    scene = replace(scene, interfaces=Interfaces.level(1.0), length_unit="cm")
     write_cameras(scene, folder / "cameras.json")
     write_tracks(scene, folder / "tracks.npz")
 
@@ -222,7 +226,7 @@ def test_a_run_is_adjusted_but_not_overwritten(torchrefrac, planted, draw, metri
     assert "where the alignment lies" in refused.err
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert ended.status == 0
-    assert float(planted.off(read_alignment(tmp_path / "new")).max()) < 0.2
+    assert float(planted.off(read_scene(tmp_path / "new")).max()) < 0.2
     assert "camera_shift_median_cm" in metrics(tmp_path / "new")
 
 
@@ -290,10 +294,9 @@ def test_bad_input_is_one_sentence_a_failed_status_and_no_results(
 
 def test_images_that_nothing_connects_are_named(torchrefrac, planted, metrics, tmp_path):
     truth = planted.truth
-    near = truth.image < 4
-    keep = torch.where(truth.point % 2 == 0, near, ~near)
-    split = replace(truth, image=truth.image[keep], point=truth.point[keep], pixels=truth.pixels[keep]).cleaned()
-    write_colmap(split, tmp_path / "given")
+    near = truth.observations.view < 4
+    wanted = torch.where(truth.observations.point % 2 == 0, near, ~near)
+    write_colmap(replace(truth, accepted=wanted).trimmed().cleaned(), tmp_path / "given")
 
     ended = torchrefrac("adjust", "alignment=given", "out=run")
 

@@ -17,7 +17,6 @@ from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.cli.composed import densify_options
 from torchrefrac.cli.conf import CONF
 from torchrefrac.commands import dense_outputs, run_folder
-from torchrefrac.commands import densify as densification
 from torchrefrac.config import DensifyOptions, OptionError, Options, build
 from torchrefrac.dense import DenseOptions, FolderStore
 from torchrefrac.files.capture import load_capture
@@ -37,7 +36,7 @@ def _prepare(sparse, folder, patch):
     """A copy of it, where the command runs; its pictures are empty, to save time."""
     shutil.copytree(sparse, folder, dirs_exist_ok=True)
     _change(folder / "run" / "metrics.json", lambda found: found.update(capture=str(folder / "capture")))
-    for module in (densification, dense_outputs, run_folder, comparison):
+    for module in (dense_outputs, run_folder, comparison):
         for name in {name for name in vars(module) if name.startswith("draw_")}:
             patch.setattr(module, name, lambda *arguments: arguments[-1].touch())
 

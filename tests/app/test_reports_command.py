@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from tests.planted_alignments import plant_alignment
+from tests.planted_reconstructions import plant_reconstruction
 from torchrefrac.files.colmap.model import write_colmap
 
 FIGURE = "data:image/"
@@ -55,8 +55,8 @@ def report(tmp_path):
 
 @pytest.fixture
 def alignment(make_basin, draw, tmp_path):
-    """Folder of an alignment that a pinhole made of what lies under water."""
-    planted = plant_alignment(make_basin(cameras=6, points=150, seen_by=3), draw, noise=0.3)
+    """Folder of a reconstruction that a pinhole made of what lies under water."""
+    planted = plant_reconstruction(make_basin(cameras=6, points=150, seen_by=3), draw, noise=0.3)
     write_colmap(planted.as_of_a_pinhole(draw), tmp_path / "given")
     return tmp_path / "given"
 

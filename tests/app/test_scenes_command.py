@@ -43,7 +43,7 @@ def captures(monkeypatch):
     """Names of the folders that were to be reconstructed; nothing is."""
     seen = []
 
-    def run(capture, options, recorder, folder, about):
+    def run(capture, options, recorder, folder, about, truth):
         seen.append(capture.folder)
         counted = {"images": len(capture), "registered_images": len(capture), "points": 9, "seconds_total": 0.1}
         metrics = {"status": "complete", "stages": [], "model": options.model.name, "capture": str(capture.folder)}

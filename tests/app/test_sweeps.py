@@ -20,7 +20,7 @@ class QuickRuns:
     plan: dict[str, BaseException] = field(default_factory=dict)
     done: list[str] = field(default_factory=list)
 
-    def __call__(self, capture, options, recorder, folder, about):
+    def __call__(self, capture, options, recorder, folder, about, truth):
         self.done.append(folder.name)
         for word, error in self.plan.items():
             if word in folder.name:

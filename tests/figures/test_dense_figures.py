@@ -7,10 +7,10 @@ import torch
 
 from torchrefrac.evaluate.dense_metrics import evaluate_dense
 from torchrefrac.figures import dense as dense_figures
-from torchrefrac.figures import panels
 from torchrefrac.figures.dense import draw_dense_views
 from torchrefrac.figures.depth_map import draw_depth_map
 from torchrefrac.figures.error_map import ErrorPanel, draw_error_map, error_panel
+from torchrefrac.figures.panels import from_side, oblique
 from torchrefrac.figures.side_views import SideView
 from torchrefrac.files.library import embedded_scene
 from torchrefrac.files.truth import load_truth
@@ -155,13 +155,13 @@ def test_the_lowest_points_are_red_and_the_highest_blue(tmp_path, draw):
 
 @pytest.mark.parametrize("with_truth", [True, False])
 def test_an_oblique_view_looks_from_above_with_the_vertical_upright(truth, with_truth):
-    side = panels.from_side(truth if with_truth else None)
-    oblique = panels.oblique(side)
+    side = from_side(truth if with_truth else None)
+    turned = oblique(side)
 
-    for frame in (side, oblique):
+    for frame in (side, turned):
         torch.testing.assert_close(frame @ frame.T, torch.eye(3, dtype=DOUBLE))
         assert float(torch.linalg.det(frame)) == pytest.approx(1.0)
-    up = oblique @ torch.tensor((0.0, 0.0, 1.0), dtype=DOUBLE)
+    up = turned @ torch.tensor((0.0, 0.0, 1.0), dtype=DOUBLE)
     assert float(up[0]) == pytest.approx(0.0)
     assert up[1] > 0.5
     assert up[2] > 0.2

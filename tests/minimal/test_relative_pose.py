@@ -10,7 +10,7 @@ from tests.tolerances import assert_matches
 from torchrefrac.geometry import heading_rotation
 from torchrefrac.minimal import relative_pose_7pt, relative_pose_npt
 from torchrefrac.minimal.rays import bent
-from torchrefrac.minimal.relative_pose import _rows
+from torchrefrac.minimal.relative_pose import pose_rows
 
 
 @pytest.mark.parametrize(("solve", "points"), [(relative_pose_7pt, 7), (relative_pose_npt, 30)])
@@ -27,7 +27,7 @@ def test_every_row_vanishes_at_the_true_pose(make_pair):
     rays1, rays2, heading, center = make_pair(100)
     (x, y, z), (c, s) = (center / HEIGHT).unbind(dim=-1), (heading.cos(), heading.sin())
 
-    rows = _rows(bent(rays1, WATER), bent(rays2, WATER))
+    rows = pose_rows(bent(rays1, WATER), bent(rays2, WATER))
 
     pose = torch.stack((c, s, z * c, z * s, c * x - s * y, s * x + c * y, x, y), dim=-1)
     residual = (rows @ pose[..., None])[..., 0] / (rows.norm(dim=-1) * pose.norm(dim=-1, keepdim=True))

@@ -55,7 +55,7 @@ def test_a_vertical_that_contradicts_the_majority_does_not_count():
     down = torch.nn.functional.normalize(
         torch.tensor([[0.0, 0.001, 1.0], [0.0, -0.001, 1.0], [0.5, 0.0, 1.0]], dtype=torch.float64), dim=-1
     )
-    mean, sigma, scatter = module._mean(down, torch.full((3,), 0.002, dtype=torch.float64))
+    mean, sigma, scatter = module.mean_vertical(down, torch.full((3,), 0.002, dtype=torch.float64))
     assert torch.linalg.cross(mean, down.new_tensor((0.0, 0.0, 1.0))).norm() < 1e-9
     assert float(sigma) == pytest.approx(math.sqrt((0.002**2 + module.LEAST_SIGMA**2) / 2))
     assert float(scatter) == pytest.approx(0.001 * math.sqrt(2.0), rel=1e-5)
@@ -63,7 +63,7 @@ def test_a_vertical_that_contradicts_the_majority_does_not_count():
 
 def test_two_verticals_that_contradict_each_other_are_uncertain():
     down = torch.nn.functional.normalize(torch.tensor([[0.0, 0.0, 1.0], [0.5, 0.0, 1.0]], dtype=torch.float64), dim=-1)
-    mean, sigma, _ = module._mean(down, torch.tensor((0.01, 0.002), dtype=torch.float64))
+    mean, sigma, _ = module.mean_vertical(down, torch.tensor((0.01, 0.002), dtype=torch.float64))
     torch.testing.assert_close(mean, down[1])
     assert float(sigma) == module.PINHOLE_SIGMA
 
@@ -71,7 +71,7 @@ def test_two_verticals_that_contradict_each_other_are_uncertain():
 def test_each_image_gets_its_best_pairs(survey_of):
     survey = survey_of(cameras=6, points=60)
     pairs = sorted(survey.pairs(), key=len, reverse=True)
-    chosen = module._choose(pairs)
+    chosen = module.best_pairs(pairs)
     assert len(chosen) < len(pairs)
     for image in range(6):
         own = [pair for pair in pairs if image in (pair.first, pair.second)]
@@ -81,7 +81,7 @@ def test_each_image_gets_its_best_pairs(survey_of):
 def test_a_vertical_that_no_pair_shows_comes_from_a_neighbour(unlevelled, monkeypatch):
     survey = unlevelled(cameras=3, points=300, noise=0.3)
     first_two = [pair for pair in survey.pairs() if pair.second < 2]
-    monkeypatch.setattr(module, "_choose", lambda pairs: first_two)
+    monkeypatch.setattr(module, "best_pairs", lambda pairs: first_two)
     capture = level(survey, survey.pairs())
     off = angles(capture, survey)
     assert off[:2].amax() < math.radians(0.5)

@@ -23,7 +23,7 @@ from torchrefrac.recorder import SilentRecorder
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.synthetic.library import render_scene, scene_folder
 from torchrefrac.synthetic.photograph import Photographer
-from torchrefrac.synthetic.stage import SceneError
+from torchrefrac.synthetic.stage import StageError
 
 
 @pytest.fixture
@@ -159,7 +159,7 @@ def test_an_interrupted_scene_goes_on_with_what_is_finished(render, taken, monke
 def test_a_full_disk_is_a_sentence_and_what_is_finished_stays(render, taken, monkeypatch):
     with monkeypatch.context() as patched:
         failing_for(patched, OSError(errno.ENOSPC, "No space left on device"), "cam01")
-        with pytest.raises(SceneError, match=r"pond_\w+ cannot be written: the disk is full; free space, or give"):
+        with pytest.raises(StageError, match=r"pond_\w+ cannot be written: the disk is full; free space, or give"):
             render()
     taken.clear()
 
@@ -174,14 +174,14 @@ def test_a_cache_that_may_not_be_written_is_a_sentence(render, monkeypatch):
 
     monkeypatch.setattr(Path, "mkdir", refuse)
 
-    with pytest.raises(SceneError, match=r"no permission to write there; allow writing to .*cache, or give another"):
+    with pytest.raises(StageError, match=r"no permission to write there; allow writing to .*cache, or give another"):
         render()
 
 
 def test_a_cache_that_is_a_file_is_a_sentence(render, tmp_path):
     (tmp_path / "cache").write_text("not a folder")
 
-    with pytest.raises(SceneError, match="cannot be written: File exists; give another cache folder"):
+    with pytest.raises(StageError, match="cannot be written: File exists; give another cache folder"):
         render()
 
 
@@ -217,7 +217,7 @@ def test_a_path_that_leaves_the_scene_is_refused_with_the_image(render, stage):
     center = stage.center.clone()
     center[2, 0] += 300.0
 
-    with pytest.raises(SceneError, match=r"scene pond: the camera path leaves the scene, cam02.png sees it in 0% of"):
+    with pytest.raises(StageError, match=r"scene pond: the camera path leaves the scene, cam02.png sees it in 0% of"):
         render(stage=replace(stage, center=center))
 
 
@@ -225,21 +225,21 @@ def test_a_camera_in_the_water_is_refused_with_its_height(render, stage):
     center = stage.center.clone()
     center[1, 2] = -4.0
 
-    with pytest.raises(SceneError, match=r"camera of cam01.png stands at z = -4 cm, but must stand above the water"):
+    with pytest.raises(StageError, match=r"camera of cam01.png stands at z = -4 cm, but must stand above the water"):
         render(stage=replace(stage, center=center))
 
 
 def test_a_scene_above_the_water_is_refused(render, stage, floor):
     raised = replace(floor, surface=replace(floor.surface, corner=floor.surface.corner + torch.tensor((0, 0, 51))))
 
-    with pytest.raises(SceneError, match="scene pond lies above the water: no camera sees anything below z = 0"):
+    with pytest.raises(StageError, match="scene pond lies above the water: no camera sees anything below z = 0"):
         render(stage=replace(stage, pieces=(raised,)))
 
 
 def test_a_lens_that_folds_the_image_is_refused(render, options):
     folding = replace(options, camera=replace(options.camera, distortion=(-2.0, 0.0, 0.0, 0.0, 0.0)))
 
-    with pytest.raises(SceneError, match=r"camera.distortion is \[-2.0, 0.0, 0.0, 0.0, 0.0\], but such a lens"):
+    with pytest.raises(StageError, match=r"camera.distortion is \[-2.0, 0.0, 0.0, 0.0, 0.0\], but such a lens"):
         render(options=folding)
 
 
@@ -248,6 +248,6 @@ def test_a_camera_that_seems_to_look_at_the_sky_is_refused_before_it_is_rendered
         options, plane_tilt_deg=(45.0, 0.0), inertial=replace(options.inertial, gravity_bias_deg=(-30.0, 0.0))
     )
 
-    with pytest.raises(SceneError, match=r"by its measured gravity cam0\d.png looks at the sky; point the"):
+    with pytest.raises(StageError, match=r"by its measured gravity cam0\d.png looks at the sky; point the"):
         render(options=tilted)
     assert taken == []

@@ -34,7 +34,7 @@ from torchrefrac.synthetic.scenes import (
     stage_of,
     tank,
 )
-from torchrefrac.synthetic.stage import SceneError
+from torchrefrac.synthetic.stage import StageError
 
 CONF = Path(torchrefrac.__file__).parents[1] / "conf"
 NARROW = CameraOptions(width=160, height=120, fov_deg=20.0)
@@ -369,7 +369,7 @@ def test_a_file_that_is_no_mesh_is_refused_by_name(tmp_path, name, content, mess
     if content is not None:
         (tmp_path / name).write_bytes(content)
 
-    with pytest.raises(SceneError, match=message):
+    with pytest.raises(StageError, match=message):
         stage_of(MeshOptions(name="mesh", file=str(tmp_path / name)))
 
 
@@ -377,7 +377,7 @@ def test_a_file_that_is_no_mesh_is_refused_by_name(tmp_path, name, content, mess
 def test_a_mesh_that_reaches_out_of_the_water_is_refused_with_the_remedy_unless_that_is_meant(ball):
     file = ball()
 
-    with pytest.raises(SceneError, match=r"reaches 1\.5 m above the water: a scene\.depth of more than 2 or a scene"):
+    with pytest.raises(StageError, match=r"reaches 1\.5 m above the water: a scene\.depth of more than 2 or a scene"):
         stage_of(MeshOptions(name="mesh", file=file, depth=0.5))
 
     dry = stage_of(MeshOptions(name="mesh", file=file, depth=0.5, allow_dry=True))
@@ -401,7 +401,7 @@ def test_the_fingerprint_of_a_mesh_is_that_of_its_file(ball):
 
 def test_fingerprints_tell_kinds_of_scenes_apart():
     assert TankOptions(name="x").fingerprint()["scene"] == "TankOptions"
-    with pytest.raises(SceneError, match="cannot be read: No such file"):
+    with pytest.raises(StageError, match="cannot be read: No such file"):
         MeshOptions(name="mesh", file="nowhere.ply").fingerprint()
 
 

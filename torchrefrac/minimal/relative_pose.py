@@ -44,7 +44,7 @@ def relative_pose_7pt(
     require_index(index_ratio)
     require(height, "height", above=0.0)
     first, second = bent(rays1, index_ratio), bent(rays2, index_ratio)
-    heading, center, valid = _solve(_rows(first, second))
+    heading, center, valid = _solve(pose_rows(first, second))
     x, y, z = center.unbind(dim=-1)
     valid = valid & look_down(rays1, rays2)[..., None] & meet_below(heading, (x, y, z), first, second)
     return heading, _scaled(center, valid, like(height, rays1)), valid
@@ -70,12 +70,12 @@ def relative_pose_npt(
     require_index(index_ratio)
     require(height, "height", above=0.0)
     require_weights(weights, rays1)
-    rows = _rows(bent(rays1, index_ratio), bent(rays2, index_ratio))
+    rows = pose_rows(bent(rays1, index_ratio), bent(rays2, index_ratio))
     heading, center, valid = _solve(rows if weights is None else rows * weights[..., None])
     return heading, _scaled(center, valid, like(height, rays1)), valid
 
 
-def _rows(first: Slopes, second: Slopes) -> Float[Tensor, "*batch n 8"]:
+def pose_rows(first: Slopes, second: Slopes) -> Float[Tensor, "*batch n 8"]:
     """The equations e, for a first camera at height 1."""
     (m1, w1), (m2, w2) = first, second
     n2, v2 = (torch.stack((part[..., 1], -part[..., 0]), dim=-1) for part in second)

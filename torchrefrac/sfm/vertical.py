@@ -59,7 +59,7 @@ def level_capture(
     Raises UnknownVerticalError when no pair shows a vertical.
     """
     usable = sorted((pair for pair in pairs if len(pair) >= options.min_pair_inliers), key=len, reverse=True)
-    estimates, detail = _from_pairs(capture, _choose(usable), features, index_ratio, options, recorder)
+    estimates, detail = _from_pairs(capture, best_pairs(usable), features, index_ratio, options, recorder)
     if not len(estimates.image):
         raise UnknownVerticalError(
             f"capture.json has no down_in_cam, and which way is down in the images cannot be seen: {detail}; "
@@ -69,7 +69,7 @@ def level_capture(
     scatter = torch.zeros(len(capture), dtype=torch.float64)
     for image in estimates.image.unique().tolist():
         rows = estimates.image == image
-        down[image], sigma[image], scatter[image] = _mean(estimates.down_in_cam[rows], estimates.sigma[rows])
+        down[image], sigma[image], scatter[image] = mean_vertical(estimates.down_in_cam[rows], estimates.sigma[rows])
     _carry_over(capture, usable, features, options, down, sigma)
     for image in sigma.isinf().nonzero()[:, 0].tolist():
         recorder.note(f"{capture.names[image]}: no pair relates it to the others, so that its vertical stays unknown")
@@ -78,7 +78,7 @@ def level_capture(
     return replace(capture, down_in_cam=down, down_sigma=max(float(overall), LEAST_DOWN_SIGMA), has_gravity=True)
 
 
-def _choose(pairs: Sequence[PairMatches]) -> list[PairMatches]:
+def best_pairs(pairs: Sequence[PairMatches]) -> list[PairMatches]:
     """Of pairs in descending order those that are among the first PAIRS_PER_IMAGE of one of their images."""
     seen: Counter[int] = Counter()
     chosen = []
@@ -120,7 +120,7 @@ def _from_pairs(
     return _Estimates(torch.tensor(image, dtype=torch.long), torch.cat(down), torch.cat(sigma)), detail
 
 
-def _mean(
+def mean_vertical(
     down: Float[Tensor, "k 3"], sigma: Float[Tensor, " k"]
 ) -> tuple[Float[Tensor, "3"], Float[Tensor, ""], Float[Tensor, ""]]:
     """Mean of the verticals of one image that agree with the one that most agree with, its sigma, and the scatter of

@@ -3,7 +3,7 @@
 from torchrefrac.synthetic.library import made_scene
 from torchrefrac.synthetic.options import CameraOptions, InertialOptions, SensorOptions, SyntheticOptions, WaveOptions
 from torchrefrac.synthetic.scenes import CansOptions, MeshOptions, RiverbedOptions, TankOptions
-from torchrefrac.synthetic.stage import SceneError
+from torchrefrac.synthetic.stage import StageError
 
 __all__ = [
     "CameraOptions",
@@ -11,8 +11,8 @@ __all__ = [
     "InertialOptions",
     "MeshOptions",
     "RiverbedOptions",
-    "SceneError",
     "SensorOptions",
+    "StageError",
     "SyntheticOptions",
     "TankOptions",
     "WaveOptions",

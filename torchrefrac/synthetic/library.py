@@ -31,7 +31,7 @@ from torchrefrac.synthetic.photograph import Photographer
 from torchrefrac.synthetic.rehearsal import rehearse
 from torchrefrac.synthetic.scenes import stage_of
 from torchrefrac.synthetic.sensor import develop
-from torchrefrac.synthetic.stage import SceneError, Stage
+from torchrefrac.synthetic.stage import Stage, StageError
 
 VERSION = 1
 """Of what is rendered from the same options. Raise it whenever that changes: folders of before are then left alone."""
@@ -44,7 +44,7 @@ def made_scene(options: SyntheticOptions, cache: Path | None = None, recorder: R
     """Folder of the scene that `options` describe, a capture with its truth; rendered unless `cache` has it already.
 
     By default `cache` is the folder of the environment variable TORCHREFRAC_CACHE, or torchrefrac/ in the user's cache.
-    Raises SceneError, one sentence with the remedy, where the scene cannot be made or written.
+    Raises StageError, one sentence with the remedy, where the scene cannot be made or written.
     """
     cache = cache or default_cache()
     folder = scene_folder(options, cache)
@@ -73,7 +73,7 @@ def render_scene(stage: Stage, options: SyntheticOptions, cache: Path, recorder:
     rendered its folder has another name; when that is interrupted, the next try goes on with the images that are whole.
     A second process that wants the same scene waits for the first.
 
-    Raises SceneError, one sentence with the remedy, where the scene cannot be photographed (see `rehearse`) or the
+    Raises StageError, one sentence with the remedy, where the scene cannot be photographed (see `rehearse`) or the
     folder cannot be written.
     """
     folder = scene_folder(options, cache)
@@ -118,7 +118,7 @@ def _check_gravity(depths: list[float], options: SyntheticOptions) -> None:
     """Captures of cameras that look at the sky are refused; better before than after rendering."""
     for name, depth in zip(image_names(len(depths)), depths, strict=True):
         if depth <= 0.0:
-            raise SceneError(
+            raise StageError(
                 f"scene {options.name}: by its measured gravity {name} looks at the sky; point the cameras further "
                 "down, or give smaller errors in inertial"
             )
@@ -151,4 +151,4 @@ def _explained(folder: Path, cache: Path) -> Iterator[None]:
             reason, remedy = "the disk is full", f"free space, or {remedy}; images that are finished are kept"
         elif error.errno in FORBIDDEN:
             reason, remedy = "no permission to write there", f"allow writing to {cache}, or {remedy}"
-        raise SceneError(f"{folder} cannot be written: {reason}; {remedy}") from error
+        raise StageError(f"{folder} cannot be written: {reason}; {remedy}") from error

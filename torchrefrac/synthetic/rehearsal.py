@@ -6,7 +6,7 @@ import torch
 
 from torchrefrac.synthetic.options import SyntheticOptions
 from torchrefrac.synthetic.photograph import Photographer
-from torchrefrac.synthetic.stage import SceneError
+from torchrefrac.synthetic.stage import StageError
 
 ROWS, COLUMNS = 18, 24
 LEAST_SHARE = 0.25
@@ -16,7 +16,7 @@ PIXEL_TOLERANCE = 1e-3
 def rehearse(photographer: Photographer, options: SyntheticOptions, names: Sequence[str]) -> None:
     """Refuse what would make photographs that nobody can use.
 
-    Raises SceneError, one sentence, where the distortion folds the image over itself, a camera does not stand above the
+    Raises StageError, one sentence, where the distortion folds the image over itself, a camera does not stand above the
     water, an image sees the scene in less than a quarter of a coarse grid of pixels, or no pixel of any image sees
     anything through the water.
     """
@@ -27,7 +27,7 @@ def rehearse(photographer: Photographer, options: SyntheticOptions, names: Seque
     pixels = torch.cat((grid, corners))
     error = (intrinsics.pixels_from_plane(intrinsics.plane_from_pixels(pixels)) - pixels).norm(dim=-1)
     if not bool((error <= PIXEL_TOLERANCE).all()):
-        raise SceneError(
+        raise StageError(
             f"camera.distortion is {list(options.camera.distortion)}, but such a lens shows a point of the scene at "
             "several places of the image; give smaller coefficients or a smaller camera.fov_deg"
         )
@@ -37,7 +37,7 @@ def rehearse(photographer: Photographer, options: SyntheticOptions, names: Seque
         height = float(stage.center[image, 2])
         if not height > crest:
             surface = "the water, z = 0" if crest == 0.0 else f"the crests of the waves, z = {crest:.3g}"
-            raise SceneError(
+            raise StageError(
                 f"scene {options.name}: the camera of {name} stands at z = {height:.4g} {stage.length_unit}, but must "
                 f"stand above {surface}; raise the camera path"
             )
@@ -45,14 +45,14 @@ def rehearse(photographer: Photographer, options: SyntheticOptions, names: Seque
         seen = sight.piece >= 0
         share = float(seen.double().mean())
         if share < LEAST_SHARE:
-            raise SceneError(
+            raise StageError(
                 f"scene {options.name}: the camera path leaves the scene, {name} sees it in {share:.0%} of its pixels, "
                 f"but must in {LEAST_SHARE:.0%}; shorten the path, lower the cameras, narrow camera.fov_deg, or make "
                 "the scene wider"
             )
         wet += int((seen & sight.in_water).sum())
     if wet == 0:
-        raise SceneError(
+        raise StageError(
             f"scene {options.name} lies above the water: no camera sees anything below z = 0; lower the scene or "
             "raise the water"
         )

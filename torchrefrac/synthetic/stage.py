@@ -12,7 +12,7 @@ from torchrefrac.scene.capture import CaptureError
 Texture = Callable[[Float[Tensor, "n 2"]], Float32[Tensor, "n 3"]]
 
 
-class SceneError(CaptureError):
+class StageError(CaptureError):
     """A scene cannot be made; the message names the option and the remedy."""
 
 

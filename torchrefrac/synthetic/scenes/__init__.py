@@ -18,7 +18,7 @@ SCENES: dict[str, type[SyntheticOptions]] = {
 def stage_of(options: SyntheticOptions) -> Stage:
     """The scene that the options describe, ready to be photographed.
 
-    Raises SceneError where it cannot be made of what they name, and TypeError for options of no known scene.
+    Raises StageError where it cannot be made of what they name, and TypeError for options of no known scene.
     """
     match options:
         case TankOptions():

@@ -19,7 +19,7 @@ from torchrefrac.synthetic.patterns import sand
 from torchrefrac.synthetic.scenes.checks import require_heights, require_images
 from torchrefrac.synthetic.scenes.mesh_colours import coloured
 from torchrefrac.synthetic.scenes.shapes import level_rectangle
-from torchrefrac.synthetic.stage import Piece, SceneError, Stage
+from torchrefrac.synthetic.stage import Piece, Stage, StageError
 from torchrefrac.synthetic.textures import ImageTexture
 
 if TYPE_CHECKING:
@@ -71,17 +71,17 @@ class MeshOptions(SyntheticOptions):
     def fingerprint(self) -> dict[str, Any]:
         """With what the file holds; not with other files that it may name, such as images.
 
-        Raises SceneError where it cannot be read.
+        Raises StageError where it cannot be read.
         """
         try:
             content = hashlib.sha256(Path(self.file).read_bytes()).hexdigest()
         except OSError as error:
-            raise SceneError(f"scene.file: {self.file} cannot be read: {error.strerror}") from None
+            raise StageError(f"scene.file: {self.file} cannot be read: {error.strerror}") from None
         return {**super().fingerprint(), "content": content}
 
 
 def mesh_stage(options: MeshOptions) -> Stage:
-    """The mesh under a lamp that stands to one side. Raises SceneError for a file that holds no mesh, or one that
+    """The mesh under a lamp that stands to one side. Raises StageError for a file that holds no mesh, or one that
     cannot be placed as asked."""
     mesh = _load(Path(options.file))
     vertices, depth = _placed(torch.as_tensor(mesh.vertices.copy(), dtype=torch.float64), options)
@@ -110,19 +110,19 @@ def _load(path: Path) -> "trimesh.Trimesh":
     import trimesh  # noqa: PLC0415 - slow to import
 
     if not path.is_file():
-        raise SceneError(f"scene.file is {path}, but there is no such file")
+        raise StageError(f"scene.file is {path}, but there is no such file")
     try:
         mesh = trimesh.load(path, force="mesh", process=False)
     except UNREADABLE as error:
         problem = " ".join(str(error).split()) or type(error).__name__
-        raise SceneError(f"scene.file: {path} cannot be read as a mesh: {problem}") from None
+        raise StageError(f"scene.file: {path} cannot be read as a mesh: {problem}") from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise SceneError(f"scene.file: {path} holds no triangles, but must be a mesh")
+        raise StageError(f"scene.file: {path} holds no triangles, but must be a mesh")
     if int(mesh.faces.max()) >= len(mesh.vertices) or int(mesh.faces.min()) < 0:
-        raise SceneError(f"scene.file: {path} has triangles of vertices that it does not have")
+        raise StageError(f"scene.file: {path} has triangles of vertices that it does not have")
     used = mesh.vertices[mesh.faces.ravel()]
     if not bool(torch.isfinite(torch.as_tensor(used.copy())).all()):
-        raise SceneError(f"scene.file: {path} has coordinates that are not finite")
+        raise StageError(f"scene.file: {path} has coordinates that are not finite")
     mesh.remove_unreferenced_vertices()
     return mesh
 
@@ -135,12 +135,12 @@ def _placed(vertices: Float[Tensor, "v 3"], options: MeshOptions) -> tuple[Float
     low, high = vertices.amin(dim=0), vertices.amax(dim=0)
     size = high - low
     if float(size.norm()) == 0.0 or not math.isfinite(float(size.norm())):
-        raise SceneError(f"scene.file: {options.file} has an extent of {float(size.norm()):g}; scene.scale changes it")
+        raise StageError(f"scene.file: {options.file} has an extent of {float(size.norm()):g}; scene.scale changes it")
     height = float(size[2])
     depth = options.depth if options.depth is not None else DEEPER * max(height, 0.25 * float(size.max()))
     above = height - depth
     if above >= 0.0 and not options.allow_dry:
-        raise SceneError(
+        raise StageError(
             f"the mesh reaches {above:g} {options.length_unit} above the water: a scene.depth of more than {height:g} "
             f"or a scene.scale of less than {options.scale * depth / height:g} puts it under water, and "
             "scene.allow_dry=true leaves it there"
