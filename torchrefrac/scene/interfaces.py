@@ -41,6 +41,11 @@ class Interfaces:
             return False
         return self.normal.tolist() == [[0.0, 0.0, 1.0]] and self.offset.tolist() == [0.0]
 
+    @cached_property
+    def is_air(self) -> bool:
+        """Whether there is one surface, at which nothing refracts, and nobody wants derivatives."""
+        return not self.index_ratio.requires_grad and self.index_ratio.tolist() == [1.0]
+
     def problem(self) -> str:
         """What cannot be right about the surfaces; empty where nothing is."""
         if not len(self):
@@ -58,6 +63,8 @@ class Interfaces:
     def of_views(self, interface: Any) -> FlatInterface:
         """What views with the interfaces `interface` (*B) look through, as a batch (*B); not batched where there is one
         for all."""
+        if self.is_air:
+            return FlatInterface(1.0)
         if len(self) == 1:
             return FlatInterface(
                 self.index_ratio[0], plane=Plane() if self.is_level else self.planes.indexed(0, (1,)), check=False
