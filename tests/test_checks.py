@@ -1,11 +1,15 @@
 """Checks of what users hand in."""
 
 import math
+import pkgutil
+from importlib import import_module
 
 import pytest
 import torch
 
+import torchrefrac
 from torchrefrac.checks import (
+    TorchrefracError,
     at_least_single,
     holds_everywhere,
     is_wrapped,
@@ -13,6 +17,7 @@ from torchrefrac.checks import (
     require_broadcasting,
     require_ending,
     require_floating,
+    require_rotation,
 )
 
 
@@ -82,6 +87,8 @@ def test_compiled_code_is_not_checked():
 def test_tensors_of_whole_numbers_are_refused_where_floating_point_is_wanted():
     for good in (1, 1.0, torch.ones(2), torch.ones(2, dtype=torch.float16)):
         require_floating(good, "value")
+    with pytest.raises(ValueError, match=r"^value is True, but must be a number$"):
+        require_floating(True, "value")
     for bad in (torch.ones(2, dtype=torch.int32), torch.ones(2, dtype=torch.bool)):
         with pytest.raises(ValueError, match=rf"^value has dtype {bad.dtype}, but must be a floating-point tensor$"):
             require_floating(bad, "value")
@@ -95,6 +102,49 @@ def test_a_shape_with_another_ending_is_refused(ending, bad, wants):
     require_ending(torch.zeros(5, 2, *ending), "value", ending)
     with pytest.raises(ValueError, match=rf"^value has shape .*, but must end in {wants}$"):
         require_ending(torch.zeros(bad), "value", ending)
+
+
+NO_ROTATIONS = {
+    "scaled": torch.eye(3) * 1.01,
+    "sheared": torch.eye(3) + 0.01 * torch.ones(3, 3).triu(1),
+    "a reflection": torch.diag(torch.tensor([1.0, 1.0, -1.0])),
+    "zero": torch.zeros(3, 3),
+    "third row alone": torch.diag(torch.tensor([1.0, 1.0, 1.01])),
+}
+
+
+@pytest.mark.parametrize("name", NO_ROTATIONS)
+def test_a_matrix_that_is_no_rotation_is_refused(draw, name):
+    rotations = draw.rotations(4)
+
+    with pytest.raises(ValueError, match=r"^pose must be a rotation: its rows are off by .* somewhere"):
+        require_rotation(NO_ROTATIONS[name], "pose")
+    with pytest.raises(ValueError, match=r"^pose must be a rotation"):
+        require_rotation(torch.cat((rotations, rotations[:1] @ NO_ROTATIONS[name].double())), "pose")
+
+
+def test_a_matrix_that_is_not_finite_is_no_rotation():
+    with pytest.raises(ValueError, match=r"^pose is nan somewhere"):
+        require_rotation(torch.full((3, 3), math.nan), "pose")
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.bfloat16, torch.float16])
+def test_rotations_pass_in_every_precision(draw, dtype):
+    rotations = draw.rotations(50)
+
+    require_rotation(rotations.to(dtype), "pose")
+    require_rotation((rotations * 1e4).round() / 1e4, "pose")  # as a file with four digits has them
+    require_rotation(rotations[:0].to(dtype), "pose")
+    torch.func.vmap(lambda r: require_rotation(r, "pose") or r, in_dims=1)(rotations.movedim(0, 1).to(dtype))
+
+
+def test_every_named_error_of_the_package_has_the_one_base():
+    modules = [m.name for m in pkgutil.walk_packages(torchrefrac.__path__, "torchrefrac.") if "__main__" not in m.name]
+    classes = {value for name in modules for value in vars(import_module(name)).values() if isinstance(value, type)}
+    errors = [c for c in classes if issubclass(c, Exception) and c.__module__.startswith("torchrefrac.")]
+
+    assert len(errors) > 10
+    assert [c for c in errors if not issubclass(c, TorchrefracError)] == []
 
 
 def test_shapes_broadcast_or_are_listed():

@@ -1,6 +1,7 @@
 """Shapes stand in every signature, and what does not fit them is found in tests."""
 
 import ast
+import os
 from collections.abc import Iterator
 from dataclasses import InitVar, dataclass
 from pathlib import Path
@@ -13,9 +14,20 @@ from torch import Tensor
 
 import torchrefrac
 from tests.typechecking import SignatureError, checked
+from torchrefrac.camera import RefractiveCamera
+from torchrefrac.refraction import solve_refrax
 
 PACKAGE = Path(torchrefrac.__file__).parent
-ROOMS_DONE = ()
+ROOMS_DONE = (
+    "atomic.py",
+    "camera",
+    "checks.py",
+    "geometry",
+    "numerics",
+    "parallel.py",
+    "recorder.py",
+    "refraction",
+)
 SHAPED = {"Bool", "Float", "Int", "Real", "Shaped", "UInt8"}
 
 
@@ -118,6 +130,12 @@ def test_fields_that_do_not_fit_are_found():
         _Cloud(torch.ones(2, 3), torch.ones(2, 3))
     with pytest.raises(SignatureError, match=r"accepts second"):
         _Pair(torch.ones(2), torch.ones(3))
+
+
+@pytest.mark.skipif(os.environ.get("TORCHREFRAC_PLAIN") == "1", reason="the package is imported as it is")
+def test_the_package_is_imported_with_checks():
+    assert hasattr(solve_refrax, "__wrapped__")
+    assert hasattr(RefractiveCamera.__init__, "__wrapped__")
 
 
 def test_compiled_code_runs_the_plain_function():

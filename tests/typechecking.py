@@ -21,6 +21,7 @@ import torch
 from beartype import BeartypeConf
 from beartype.door import is_bearable
 from jaxtyping import _storage
+from torch import Tensor
 from typing_extensions import is_protocol
 
 PACKAGE = "torchrefrac"
@@ -65,7 +66,9 @@ def checked(item: Any) -> Any:
 
 
 def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
-    """`function` of these arguments, with checks."""
+    """`function` of these arguments, with checks. Trees of anything may have the form of a named tuple."""
+    if function.__name__ == "__new__" and not any(isinstance(value, Tensor) for value in (*args, *kwargs.values())):
+        return function(*args, **kwargs)
     name = f"{function.__module__}.{function.__qualname__}"
     key = (name, function.__code__)
     if key not in _stated:  # at the first call all names that stand in strings are known

@@ -4,11 +4,15 @@ import math
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Shaped
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 from torch._C import _functorch  # pyright: ignore[reportAttributeAccessIssue]
 
 HALF = (torch.float16, torch.bfloat16)
+
+
+class TorchrefracError(Exception):
+    """What every named error of the package is, beside what Python would call it."""
 
 
 def require(
@@ -45,9 +49,30 @@ def require_between(value: float, name: str, low: float, high: float, unit: str 
 
 
 def require_floating(value: Shaped[Tensor, "..."] | float, name: str) -> None:
-    """Refuse tensors of whole numbers."""
+    """Refuse tensors of whole numbers, and True and False as numbers."""
+    if isinstance(value, bool):
+        raise ValueError(f"{name} is {value}, but must be a number")
     if isinstance(value, Tensor) and not value.is_floating_point():
         raise ValueError(f"{name} has dtype {value.dtype}, but must be a floating-point tensor")
+
+
+def require_rotation(value: Float[Tensor, "*batch 3 3"], name: str) -> None:
+    """Refuse matrices whose rows are not orthonormal and right-handed to three digits, to two in half precision.
+
+    Nothing is checked in compiled code nor inside the wrappers of `torch.func` transforms, which may lay out the
+    dimensions of a matrix in any order.
+    """
+    if torch.compiler.is_compiling() or is_wrapped(value) or value.numel() == 0:
+        return
+    require(value, name)
+    x, y, z = at_least_single(value.detach()).unbind(dim=-2)
+    products = torch.stack((x * x, y * y, x * y)).sum(dim=-1)
+    unit = (products[0] - 1.0, products[1] - 1.0, products[2])
+    error = max(float(part.abs().max()) for part in (*unit, torch.linalg.cross(x, y, dim=-1) - z))
+    if error > (0.02 if value.dtype in HALF else 0.001):
+        raise ValueError(
+            f"{name} must be a rotation: its rows are off by {error:g} somewhere from orthonormal and right-handed"
+        )
 
 
 def require_ending(value: Shaped[Tensor, "..."], name: str, ending: Sequence[int]) -> None:

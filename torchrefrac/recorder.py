@@ -3,7 +3,7 @@
 A leaf of the package: any layer may import it, sinks (a terminal, TensorBoard, a file) live in `torchrefrac.record`.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol, TypeVar
 
@@ -79,5 +79,5 @@ class SilentRecorder:
         yield from items
 
     @contextmanager
-    def meter(self, total: int, description: str, unit: str) -> Iterator[Advance]:
+    def meter(self, total: int, description: str, unit: str) -> Generator[Advance, None, None]:
         yield lambda count, text: None

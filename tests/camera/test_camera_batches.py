@@ -7,7 +7,7 @@ import torch
 
 from tests.camera.camera_scenes import COUNT, for_every_interface, scene
 from tests.tolerances import assert_same_pixels
-from torchrefrac.camera import ProjectionJacobians, RefractiveCamera
+from torchrefrac.camera import Intrinsics, ProjectionJacobians, RefractiveCamera
 from torchrefrac.geometry import Plane, so3_exp
 from torchrefrac.numerics.blocks import BLOCK
 from torchrefrac.refraction import FlatInterface
@@ -179,6 +179,42 @@ def test_points_of_another_dtype_are_seen_where_the_same_numbers_of_the_cameras_
 
     assert value.dtype == torch.float64
     assert_same_pixels(value, getattr(camera, method)(points.double())[0])
+
+
+@pytest.mark.parametrize("interface", [FlatInterface(), FlatInterface.flat_port(0.1, 0.01), FlatInterface(1.0)])
+def test_intrinsics_from_plain_numbers_follow_the_dtype_of_the_pose(draw, interface):
+    lens = Intrinsics.create(1000, 800, 900.0)
+    rotation = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
+    camera = RefractiveCamera(lens, rotation, torch.tensor([0.1, 0.2, 1.0]), interface)
+    points = draw.uniform(-0.3, 0.0, 5, 3).float()
+
+    results = (*camera.project(points), *camera.cast_rays(camera.intrinsics.pixel_grid()), *camera.rays(4, 5))
+
+    assert camera.intrinsics.focal.dtype == torch.float32
+    assert {result.dtype for result in results} == {torch.float32, torch.bool}
+    assert camera.project_with_jacobians(points)[1].focal.dtype == torch.float32
+    assert camera.project(points.double())[0].dtype == torch.float64
+    double = RefractiveCamera(lens.to(dtype=torch.float32), rotation.double(), camera.center_in_world, interface)
+    assert double.intrinsics.focal.dtype == double.project(points)[0].dtype == torch.float64
+
+
+@pytest.mark.parametrize(
+    "wrong", [torch.eye(3) * 1.01, torch.diag(torch.tensor([1.0, 1.0, -1.0])), torch.zeros(3, 3)], ids=str
+)
+def test_a_rotation_that_is_none_is_refused(lens, wrong):
+    center = torch.tensor([0.0, 0.0, 1.0])
+    poses = torch.stack((torch.eye(3), wrong))
+
+    with pytest.raises(ValueError, match=r"^cam_from_world_rotation must be a rotation"):
+        RefractiveCamera(lens, poses, center, FlatInterface())
+    assert RefractiveCamera(lens, poses, center, FlatInterface(), check=False).shape == (2,)
+
+
+def test_a_pose_of_whole_numbers_is_refused(lens):
+    with pytest.raises(ValueError, match=r"^cam_from_world_rotation has dtype torch\.int64"):
+        RefractiveCamera(lens, torch.eye(3, dtype=torch.int64), torch.zeros(3), FlatInterface(1.0))
+    with pytest.raises(ValueError, match=r"^center_in_world has dtype torch\.int64"):
+        RefractiveCamera(lens, torch.eye(3), torch.tensor([0, 0, 1]), FlatInterface())
 
 
 @for_every_interface

@@ -120,10 +120,28 @@ def test_an_image_without_pixels_is_refused(width, height):
 
 
 def test_parameters_that_do_not_fit_each_other_are_refused_with_their_shapes(lens):
-    odd = replace(lens, focal=torch.ones(3, 2), distortion=torch.zeros(4, 5))
-
     with pytest.raises(ValueError, match=r"do not broadcast: focal \(3,\), principal_point \(\), distortion \(4,\)"):
-        _ = odd.shape
+        replace(lens, focal=torch.ones(3, 2), distortion=torch.zeros(4, 5))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 0.0, -900.0])
+def test_a_focal_length_that_is_none_is_refused(lens, bad):
+    with pytest.raises(ValueError, match=r"^focal is .* somewhere, but must be finite and above 0$"):
+        Intrinsics.create(640, 480, bad)
+    with pytest.raises(ValueError, match=r"^focal is .* somewhere, but must be finite and above 0$"):
+        replace(lens, focal=torch.tensor([900.0, bad], dtype=torch.float64))
+    assert not replace(lens, focal=torch.tensor([900.0, bad]), check=False).focal.equal(lens.focal)
+
+
+@pytest.mark.parametrize("name", ["principal_point", "distortion"])
+def test_values_that_are_not_finite_are_refused_by_name(lens, name):
+    with pytest.raises(ValueError, match=f"^{name} is nan somewhere, but must be finite$"):
+        replace(lens, **{name: torch.full_like(getattr(lens, name), math.nan)})
+
+
+def test_whole_numbers_are_refused_by_name(lens):
+    with pytest.raises(ValueError, match=r"^focal has dtype torch\.int64"):
+        replace(lens, focal=torch.tensor([900, 900]))
 
 
 def test_a_pixel_that_is_no_number_lies_outside(lens):

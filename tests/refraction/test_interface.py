@@ -83,6 +83,12 @@ def test_shapes_that_do_not_broadcast_are_listed():
         FlatInterface(layers=(1.0, torch.full((2,), 1.5), 1.3), thickness=(torch.full((3,), 0.1),))
 
 
+@pytest.mark.parametrize("wrong", [{"index_ratio": True}, {"layers": (True, 1.333)}])
+def test_true_is_no_index(wrong):
+    with pytest.raises(ValueError, match=r"^(index_ratio|layers) is True, but must be a number$"):
+        FlatInterface(**wrong)
+
+
 def test_nothing_given_is_fresh_water_at_zero():
     interface = FlatInterface()
 

@@ -63,12 +63,12 @@ def _with_held(found: BundleState, given: BundleState, layout: Layout) -> Bundle
     """The solution, with the tensors that were given wherever nothing was refined."""
     lens, water, radial = found.lens, {}, 2 if "radial" in layout.lens else 0
     if "focal" not in layout.lens:
-        lens = replace(lens, focal=given.lens.focal)
+        lens = replace(lens, focal=given.lens.focal, check=False)
     if "principal_point" not in layout.lens:
-        lens = replace(lens, principal_point=given.lens.principal_point)
+        lens = replace(lens, principal_point=given.lens.principal_point, check=False)
     if "distortion" not in layout.lens:
         parts = (lens.distortion[..., :radial], given.lens.distortion[..., radial:])
-        lens = replace(lens, distortion=torch.cat(parts, dim=-1))
+        lens = replace(lens, distortion=torch.cat(parts, dim=-1), check=False)
     if "index_ratio" not in layout.water:
         water["index_ratio"] = given.index_ratio
     if "plane_tilt" not in layout.water:

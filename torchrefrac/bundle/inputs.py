@@ -9,11 +9,12 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from torchrefrac.bundle.state import BundleState, Links, Observations
+from torchrefrac.checks import TorchrefracError
 
 SHOWN = 4
 
 
-class UnadjustableError(ValueError):
+class UnadjustableError(TorchrefracError, ValueError):
     """Observations and state do not make an adjustment; the message says which."""
 
 

@@ -171,7 +171,7 @@ class Layout:
         for name in ("radial", "distortion"):
             if name in change:
                 distortion = distortion + torch.nn.functional.pad(change[name], (0, 5 - change[name].shape[-1]))
-        return replace(lens, focal=focal, principal_point=middle, distortion=distortion)
+        return replace(lens, focal=focal, principal_point=middle, distortion=distortion, check=False)
 
     def _moved_water(self, state: BundleState, kept: Tensor) -> BundleState:
         index_ratio = state.index_ratio

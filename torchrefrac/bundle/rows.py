@@ -153,7 +153,7 @@ def _parts(
     offset: Tensor,
 ) -> tuple[list[list[Tensor]], Tensor]:
     """The rows of u and those of v (N each), and rho (N)."""
-    lens = Intrinsics(1, 1, focal, principal_point, distortion)
+    lens = Intrinsics(1, 1, focal, principal_point, distortion, check=False)
     interface = FlatInterface(index_ratio, plane=Plane(normal, offset, check=False), check=False)
     wanted = (*POSE, "point", *(LENS[name].block for name in model.lens), *(WATER[name] for name in model.water))
     pixel, valid, by = projection_parts(lens, rotation, center, points, interface, wanted, model.frozen_ratio)

@@ -122,4 +122,5 @@ def _in_full(lens: Intrinsics) -> Intrinsics:
     """With a batch dimension on each part, and no copies."""
     shape = lens.shape
     focal, middle = lens.focal.expand(*shape, 2), lens.principal_point.expand(*shape, 2)
-    return replace(lens, focal=focal, principal_point=middle, distortion=lens.distortion.expand(*shape, 5))
+    distortion = lens.distortion.expand(*shape, 5)
+    return replace(lens, focal=focal, principal_point=middle, distortion=distortion, check=False)

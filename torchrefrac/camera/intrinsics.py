@@ -1,7 +1,7 @@
 """Focal length, principal point and distortion of a camera."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import InitVar, dataclass, replace
 from typing import Any
 
 import torch
@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.camera.distortion import distort, undistort
-from torchrefrac.checks import at_least_single, require_broadcasting, require_ending
+from torchrefrac.checks import at_least_single, require, require_broadcasting, require_ending, require_floating
 from torchrefrac.numerics import pick
 
 
@@ -17,7 +17,9 @@ from torchrefrac.numerics import pick
 class Intrinsics:
     """Pinhole with Brown-Conrady distortion. Pixels: the centre of the top-left pixel is (0.5, 0.5).
 
-    focal and principal_point, width and height in pixels; distortion as k1, k2, p1, p2, k3.
+    focal and principal_point, width and height in pixels; distortion as k1, k2, p1, p2, k3. Raises ValueError for
+    shapes that do not fit, a focal length that is not finite and positive, and other values that are not finite;
+    check=False leaves out the look at values.
     """
 
     width: int
@@ -25,15 +27,22 @@ class Intrinsics:
     focal: Float[Tensor, "*#batch 2"]
     principal_point: Float[Tensor, "*#batch 2"]
     distortion: Float[Tensor, "*#batch 5"]
+    check: InitVar[bool] = True
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, check: bool) -> None:
         if min(self.width, self.height) < 1:
             raise ValueError(f"width and height are {self.width} and {self.height}, but must be at least 1 pixel")
         require_ending(self.focal, "focal", (2,))
         require_ending(self.principal_point, "principal_point", (2,))
         require_ending(self.distortion, "distortion", (5,))
         for name in ("focal", "principal_point", "distortion"):
+            require_floating(getattr(self, name), name)
             object.__setattr__(self, name, at_least_single(getattr(self, name)))
+        _ = self.shape
+        if check:
+            require(self.focal, "focal", above=0.0)
+            require(self.principal_point, "principal_point")
+            require(self.distortion, "distortion")
 
     @classmethod
     def create(
@@ -97,6 +106,7 @@ class Intrinsics:
             focal=pick(self.focal, index, batch, 1),
             principal_point=pick(self.principal_point, index, batch, 1),
             distortion=pick(self.distortion, index, batch, 1),
+            check=False,
         )
 
     def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "Intrinsics":
@@ -106,4 +116,5 @@ class Intrinsics:
             focal=self.focal.to(dtype=dtype, device=device),
             principal_point=self.principal_point.to(dtype=dtype, device=device),
             distortion=self.distortion.to(dtype=dtype, device=device),
+            check=False,
         )

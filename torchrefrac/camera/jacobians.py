@@ -75,7 +75,7 @@ def project_with_jacobians(
     dims = (1, 0, *(2 for _ in BLOCKS))
     results = in_blocks(precise(block, interface), [*tangents, *tensors], [1, 1, *event_dims], dims)
     pixels, valid, *blocks = results
-    by = dict(zip(BLOCKS, blocks, strict=True))
+    by: dict[str, Parameter] = dict(zip(BLOCKS, blocks, strict=True))
     by["plane_height"] = by["plane_height"][..., 0]
     by["principal_point"] = torch.eye(2, dtype=pixels.dtype, device=pixels.device).expand((*valid.shape, 2, 2))
     return pixels, ProjectionJacobians(**by), valid

@@ -16,6 +16,8 @@ from torchrefrac.checks import (
     require,
     require_broadcasting,
     require_ending,
+    require_floating,
+    require_rotation,
     unwrapped,
 )
 from torchrefrac.geometry import Plane, rotate
@@ -35,9 +37,10 @@ class RefractiveCamera:
     default a water surface at z = 0. The batch broadcasts against the leading dimensions of what is projected: give
     points (N, 3) to one camera, or index a batch of M cameras as `camera[:, None]` for an (M, N) grid.
 
-    Raises ValueError for shapes that do not fit, values that are not finite, and a camera that does not stand on its
-    side of the interface. check=False leaves out the look at values, which waits for a GPU: steps of an optimiser may
-    put a camera under water; what it sees is then not valid.
+    The intrinsics take the dtype of the pose. Raises ValueError for shapes that do not fit, values that are not finite,
+    a rotation that is none (to three digits), and a camera that does not stand on its side of the interface.
+    check=False leaves out the look at values, which waits for a GPU: steps of an optimiser may put a camera under
+    water; what it sees is then not valid.
     """
 
     intrinsics: Intrinsics
@@ -49,11 +52,17 @@ class RefractiveCamera:
     def __post_init__(self, check: bool) -> None:
         require_ending(self.cam_from_world_rotation, "cam_from_world_rotation", (3, 3))
         require_ending(self.center_in_world, "center_in_world", (3,))
+        require_floating(self.cam_from_world_rotation, "cam_from_world_rotation")
+        require_floating(self.center_in_world, "center_in_world")
+        if check:
+            require_rotation(self.cam_from_world_rotation, "cam_from_world_rotation")
         object.__setattr__(self, "cam_from_world_rotation", at_least_single(self.cam_from_world_rotation))
         object.__setattr__(self, "center_in_world", at_least_single(self.center_in_world))
+        dtype = torch.promote_types(self.cam_from_world_rotation.dtype, self.center_in_world.dtype)
+        if self.intrinsics.focal.dtype != dtype:
+            object.__setattr__(self, "intrinsics", self.intrinsics.to(dtype=dtype))
         _ = self.shape
         if check and not torch.compiler.is_compiling():
-            require(self.cam_from_world_rotation, "cam_from_world_rotation")
             require(self.center_in_world, "center_in_world")
             self._require_on_its_side()
 
@@ -227,7 +236,7 @@ class RefractiveCamera:
         require_ending(value, name, (components,))
         require_broadcasting(**{name: value.shape[:-1], "camera": self.shape})
         dtype = value.dtype
-        for tensor in (self.center_in_world, self.cam_from_world_rotation, self.intrinsics.focal):
+        for tensor in (self.center_in_world, self.cam_from_world_rotation):
             dtype = torch.promote_types(dtype, tensor.dtype)
         return value.to(dtype)
 

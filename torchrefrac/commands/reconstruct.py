@@ -11,6 +11,7 @@ from typing import Any
 import torch
 
 from torchrefrac.bundle.rows import LENS
+from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.run_folder import RunFolder, describe_gravity
 from torchrefrac.config import Options
@@ -35,7 +36,7 @@ from torchrefrac.sfm import (
 StageHook = Callable[[str, Any, float], None]
 
 
-class ReconstructionError(RuntimeError):
+class ReconstructionError(TorchrefracError, RuntimeError):
     """The photographs do not carry a reconstruction; the message says what is missing and what would help."""
 
 

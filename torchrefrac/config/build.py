@@ -5,11 +5,13 @@ import types
 from collections.abc import Mapping
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from torchrefrac.checks import TorchrefracError
+
 T = TypeVar("T")
 PLAIN = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 
 
-class OptionError(ValueError):
+class OptionError(TorchrefracError, ValueError):
     """An option is unknown, missing or of the wrong type; the message names it."""
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import torch
 
+from torchrefrac.checks import TorchrefracError
 from torchrefrac.dense.depth_maps import depth_map
 from torchrefrac.dense.estimators import Estimator, grow_patches, sweep_planes
 from torchrefrac.dense.filtering import supported, unobstructing
@@ -22,7 +23,7 @@ from torchrefrac.scene import Capture, DenseCloud, DepthMap, Reconstruction
 ESTIMATORS: dict[str, Estimator] = {"patch": grow_patches, "depthmap": sweep_planes}
 
 
-class DenseError(RuntimeError):
+class DenseError(TorchrefracError, RuntimeError):
     """The photographs do not carry a dense reconstruction; the message says why and what would help."""
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
+from torchrefrac.checks import TorchrefracError
 
 TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -28,7 +29,7 @@ BYTE_ORDERS = {"format binary_little_endian 1.0": "<", "format binary_big_endian
 LONGEST_HEADER = 1 << 16
 
 
-class DenseFileError(ValueError):
+class DenseFileError(TorchrefracError, ValueError):
     """A file of a dense reconstruction is damaged or of another kind; the message names the file."""
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchrefrac.checks import TorchrefracError
 from torchrefrac.optim.dense import prepare
 from torchrefrac.optim.elimination import Elimination
 from torchrefrac.optim.normal_equations import NEGLIGIBLE, NormalEquations
@@ -12,7 +13,7 @@ from torchrefrac.optim.normal_equations import NEGLIGIBLE, NormalEquations
 ROUNDING = 0.1  # of a zero eigenvalue, in units of the size of the matrix and the precision
 
 
-class SingularError(ArithmeticError):
+class SingularError(TorchrefracError, ArithmeticError):
     """The normal equations do not determine their unknowns."""
 
 

@@ -26,7 +26,7 @@ class Sight(NamedTuple):
     height: of the camera above the first surface; beyond: of the point below it, negative on the camera's side;
     along: p - c along the normal; horizontal: the rest of p - c; distance_sq: its square; bent: whether light is
     refracted on the way: where not, safe_height and thickness can be solved all the same. thickness: the way through
-    each layer behind the camera's; index of each, relative to the camera's; ends_here: whether the point lies in it.
+    each layer behind the camera's; indices: of each, relative to the camera's; ends_here: whether the point lies in it.
     """
 
     center: Triple
@@ -40,7 +40,7 @@ class Sight(NamedTuple):
     bent: Mask
     safe_height: Part
     thickness: list[Part]
-    index: list[Part]
+    indices: list[Part]
     ends_here: list[Mask]
 
 
@@ -114,7 +114,7 @@ def look(center: Triple, point: Triple, parameters: Sequence[Parameter]) -> Sigh
         bent=bent,
         safe_height=torch.where(bent, height, 1.0),
         thickness=thickness,
-        index=[n_i / first for n_i in index],
+        indices=[n_i / first for n_i in index],
         ends_here=ends_here,
     )
 
@@ -159,13 +159,13 @@ def is_valid(sight: Sight, height: Part) -> Bool[Tensor, "*batch"]:
 def _solve(sight: Sight, camera_in_rarest: bool) -> tuple[Part, tuple[Part, Part, list[Part], list[Part]], Part | None]:
     """G, the terms it was solved from, and the index of the camera's medium relative to the rarest (None: 1)."""
     if camera_in_rarest:
-        terms = (sight.distance_sq, sight.safe_height, sight.thickness, sight.index)
+        terms = (sight.distance_sq, sight.safe_height, sight.thickness, sight.indices)
         return apparent_height(*terms), terms, None
-    one = torch.ones_like(sight.index[0])
+    one = torch.ones_like(sight.indices[0])
     rarest = one
-    for d, n in zip(sight.thickness, sight.index, strict=True):
+    for d, n in zip(sight.thickness, sight.indices, strict=True):
         rarest = torch.where(d > 0, torch.minimum(rarest, n.detach()), rarest)
-    index = [one / rarest, *(torch.where(n < rarest, 1.0, n / rarest) for n in sight.index)]
+    index = [one / rarest, *(torch.where(n < rarest, 1.0, n / rarest) for n in sight.indices)]
     thickness = [sight.safe_height, *sight.thickness]
     terms = (sight.distance_sq, torch.zeros_like(sight.safe_height), thickness, index)
     return apparent_height(*terms), terms, index[0]
@@ -200,7 +200,7 @@ def _finish(sight: Sight, height: Part) -> Float[Tensor, "*batch"]:
 
 
 def _same_media(sight: Sight) -> Bool[Tensor, "*batch"]:
-    same = sight.index[0] == 1.0
-    for n in sight.index[1:]:
+    same = sight.indices[0] == 1.0
+    for n in sight.indices[1:]:
         same = same & (n == 1.0)
     return same

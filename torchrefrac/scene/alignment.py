@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
+from torchrefrac.checks import TorchrefracError
 from torchrefrac.scene.reconstruction import Reconstruction
 
 
-class AlignmentError(ValueError):
+class AlignmentError(TorchrefracError, ValueError):
     """The alignment cannot be used; the message names the file and the record or field, and the remedy."""
 
 

@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
+from torchrefrac.checks import TorchrefracError
 
 
-class CaptureError(ValueError):
+class CaptureError(TorchrefracError, ValueError):
     """The capture cannot be used; the message names the file or field and the remedy."""
 
 

@@ -7,8 +7,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchrefrac.checks import TorchrefracError
 
-class SurveyError(ValueError):
+
+class SurveyError(TorchrefracError, ValueError):
     """The survey cannot be used; the message names the file and the field."""
 
 

@@ -176,7 +176,7 @@ def unstacked(lens: Intrinsics, like: Sequence[Intrinsics]) -> tuple[Intrinsics,
     """The lenses of `stacked`, each with its own size of the image."""
     values = (lens.focal.reshape(-1, 2), lens.principal_point.reshape(-1, 2), lens.distortion.reshape(-1, 5))
     return tuple(
-        replace(own, focal=focal, principal_point=middle, distortion=distortion)
+        replace(own, focal=focal, principal_point=middle, distortion=distortion, check=False)
         for own, focal, middle, distortion in zip(like, *values, strict=True)
     )
 

@@ -7,6 +7,7 @@ from itertools import count
 import torch
 
 from torchrefrac.bundle import BundleReport
+from torchrefrac.checks import TorchrefracError
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, Reconstruction, Tracks
@@ -26,7 +27,7 @@ MOST_SHOWN = 10_000  # points of a cloud that is still growing
 GROWING = LevenbergMarquardtOptions(max_iterations=10, function_tolerance=1e-4)
 
 
-class NoInitialPairError(RuntimeError):
+class NoInitialPairError(TorchrefracError, RuntimeError):
     """No pair of images can start the reconstruction."""
 
 

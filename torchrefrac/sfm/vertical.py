@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchrefrac.checks import TorchrefracError
 from torchrefrac.features import Features, PairMatches
 from torchrefrac.geometry import rotate
 from torchrefrac.recorder import Recorder
@@ -30,7 +31,7 @@ FAR = 9.0
 """Squared distance in standard deviations at which two verticals of one image contradict each other."""
 
 
-class UnknownVerticalError(RuntimeError):
+class UnknownVerticalError(TorchrefracError, RuntimeError):
     """No pair of images shows which way is down."""
 
 
