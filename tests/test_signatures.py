@@ -22,13 +22,18 @@ ROOMS_DONE = (
     "atomic.py",
     "camera",
     "checks.py",
+    "figures",
     "geometry",
+    "html",
     "numerics",
     "parallel.py",
+    "record",
     "recorder.py",
     "refraction",
+    "sweeps",
+    "synthetic",
 )
-SHAPED = {"Bool", "Float", "Int", "Real", "Shaped", "UInt8"}
+SHAPED = {"Bool", "Float", "Float32", "Int", "Real", "Shaped", "UInt8"}
 
 
 @pytest.mark.parametrize("room", ROOMS_DONE)

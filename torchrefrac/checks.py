@@ -8,11 +8,9 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 from torch._C import _functorch  # pyright: ignore[reportAttributeAccessIssue]
 
+from torchrefrac.errors import TorchrefracError  # noqa: F401 # pyright: ignore[reportUnusedImport]
+
 HALF = (torch.float16, torch.bfloat16)
-
-
-class TorchrefracError(Exception):
-    """What every named error of the package is, beside what Python would call it."""
 
 
 def require(

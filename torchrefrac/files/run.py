@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Self, TypeGuard
 
 from torchrefrac.atomic import replacing
+from torchrefrac.errors import TorchrefracError
 
 METRICS = "metrics.json"
 DENSE_CLOUD = "dense.ply"
@@ -29,7 +30,7 @@ class RunStatus(StrEnum):
     UNKNOWN = "unknown"
 
 
-class RunRecordError(ValueError):
+class RunRecordError(TorchrefracError, ValueError):
     """metrics.json is missing or damaged; the message names the file and says in one sentence what is wrong."""
 
 

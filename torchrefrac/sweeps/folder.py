@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from torchrefrac.errors import TorchrefracError
 from torchrefrac.files.run import METRICS
 from torchrefrac.sweeps.failures import unusable, write_failure
 from torchrefrac.sweeps.jobs import NO_SETTINGS, Job, by_name, read_sweep, record_of, remembered, write_sweep
@@ -15,7 +16,7 @@ from torchrefrac.sweeps.jobs import NO_SETTINGS, Job, by_name, read_sweep, recor
 MISSING = "not there"
 
 
-class SweepError(ValueError):
+class SweepError(TorchrefracError, ValueError):
     """No job of the sweep can be run; the message says why."""
 
 
