@@ -6,7 +6,7 @@ Not imported without hydra-submitit-launcher: Hydra loads no module whose name b
 import contextlib
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +66,7 @@ class _Queue(BaseSubmititLauncher):
             raise HydraException(f"the jobs cannot be submitted: {error}") from None
 
     @contextlib.contextmanager
-    def _environment(self) -> Iterator[None]:
+    def _environment(self) -> Generator[None, None, None]:
         yield
 
     def _print_end(self, overrides: Sequence[str]) -> None:
@@ -100,7 +100,7 @@ class LocalQueue(_Queue, LocalLauncher):
         return returned
 
     @contextlib.contextmanager
-    def _environment(self) -> Iterator[None]:
+    def _environment(self) -> Generator[None, None, None]:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         threads = os.environ.get("OMP_NUM_THREADS", str(max(1, cores // max(1, self.params.get("at_once", 1)))))
         with env_override({"OMP_NUM_THREADS": threads}):

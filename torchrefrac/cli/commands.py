@@ -3,7 +3,7 @@
 import os
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -138,7 +138,7 @@ def _densify(sparse: SparseRun, options: DensifyOptions, config: DictConfig) -> 
 
 
 @contextmanager
-def _recorders(folder: Path, quiet: bool, append: bool = False) -> Iterator[RunRecorders]:
+def _recorders(folder: Path, quiet: bool, append: bool = False) -> Generator[RunRecorders, None, None]:
     about = {"command": shlex.join(["torchrefrac", *(typed or sys.argv[1:])])}
     with run_recorders(folder, quiet, about=about, expected=EXPECTED, append=append) as recorder:
         yield recorder

@@ -4,7 +4,7 @@ import platform
 import sys
 import time
 import traceback
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from importlib import import_module
@@ -83,7 +83,7 @@ class LogFile(SilentRecorder):
                 advance(1, "")
 
     @contextmanager
-    def meter(self, total: int, description: str, unit: str) -> Iterator[Advance]:
+    def meter(self, total: int, description: str, unit: str) -> Generator[Advance, None, None]:
         start, done, latest = time.perf_counter(), 0, ""
 
         def advance(count: int, text: str) -> None:

@@ -1,6 +1,6 @@
 """Several recorders as one, and those that every run has."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -58,7 +58,7 @@ class Recorders:
         yield from items
 
     @contextmanager
-    def meter(self, total: int, description: str, unit: str) -> Iterator[Advance]:
+    def meter(self, total: int, description: str, unit: str) -> Generator[Advance, None, None]:
         with ExitStack() as stack:
             every = [stack.enter_context(r.meter(total, description, unit)) for r in self._recorders]
 
@@ -89,7 +89,7 @@ def run_recorders(
     about: Mapping[str, Any] | None = None,
     expected: tuple[type[BaseException], ...] = (),
     append: bool = False,
-) -> Iterator[RunRecorders]:
+) -> Generator[RunRecorders, None, None]:
     """The recorders of one run: TensorBoard in `folder`/events, `folder`/run.log, and the terminal unless quiet.
 
     about: what the log should say of the run at its beginning, such as its command line. expected: errors whose message

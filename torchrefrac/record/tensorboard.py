@@ -1,7 +1,7 @@
 """Curves, histograms, pictures, clouds and the table of runs for TensorBoard."""
 
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -126,7 +126,7 @@ class TensorBoardRecorder(SilentRecorder):
         self._writer.flush()
 
     @contextmanager
-    def meter(self, total: int, description: str, unit: str) -> Iterator[Advance]:
+    def meter(self, total: int, description: str, unit: str) -> Generator[Advance, None, None]:
         yield lambda count, text: None
         self._writer.flush()
 

@@ -3,7 +3,7 @@
 import sys
 import textwrap
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO, TypeVar
 
@@ -58,7 +58,7 @@ class TerminalRecorder(SilentRecorder):
         life.end(f"{life.done}/{total}")
 
     @contextmanager
-    def meter(self, total: int, description: str, unit: str) -> Iterator[Advance]:
+    def meter(self, total: int, description: str, unit: str) -> Generator[Advance, None, None]:
         if not self._stream.isatty():
             life = _Life(self._stream, total, description, unit)
             yield life.advance
@@ -75,7 +75,7 @@ class TerminalRecorder(SilentRecorder):
             yield show
 
     @contextmanager
-    def _bar(self, layout: str, total: int, description: str, unit: str) -> "Iterator[tqdm[Any]]":
+    def _bar(self, layout: str, total: int, description: str, unit: str) -> "Generator[tqdm[Any], None, None]":
         """A bar that stays where it is when it ends, unless it stands below another one."""
         bar = tqdm(
             total=total, desc=f"{description:<12}", unit=unit, ncols=WIDTH, file=self._stream, bar_format=layout,

@@ -5,7 +5,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -125,7 +125,7 @@ def _check_gravity(depths: list[float], options: SyntheticOptions) -> None:
 
 
 @contextmanager
-def _alone(folder: Path, recorder: Recorder) -> Iterator[None]:
+def _alone(folder: Path, recorder: Recorder) -> Generator[None, None, None]:
     """Wait until no other process renders this scene."""
     lock = FileLock(folder.with_name(f".{folder.name}.lock"))
     try:
@@ -140,7 +140,7 @@ def _alone(folder: Path, recorder: Recorder) -> Iterator[None]:
 
 
 @contextmanager
-def _explained(folder: Path, cache: Path) -> Iterator[None]:
+def _explained(folder: Path, cache: Path) -> Generator[None, None, None]:
     """OSErrors as what they mean for the user."""
     try:
         yield
