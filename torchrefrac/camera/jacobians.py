@@ -83,18 +83,18 @@ def project_with_jacobians(
 
 def projection_parts(
     intrinsics: Intrinsics,
-    rotation: Float[Tensor, "*#n 3 3"],
-    center: Float[Tensor, "*#n 3"],
-    points: Float[Tensor, "n 3"],
+    rotation: Float[Tensor, "*#batch 3 3"],
+    center: Vectors,
+    points: Vectors,
     interface: FlatInterface,
     wanted: Sequence[str],
     frozen_ratio: bool = False,
 ) -> tuple[tuple[Part, Part], Mask, dict[str, Axes]]:
-    """`project_with_jacobians` of N observations for those who lay out the numbers themselves.
+    """`project_with_jacobians` for those who lay out the numbers themselves.
 
     Returns the pixel's coordinates u and v, validity, and by name the derivatives of u and those of v, as many tensors
     as the block is wide, of the `wanted` blocks (fields of `ProjectionJacobians`) if of no others.
-    Stacks are solved in the dtype given. The N are worked through at once: hand over as many as fit the cache.
+    Stacks are solved in the dtype given. All are worked through at once: hand over as many as fit the cache.
 
     frozen_ratio: the refrax ratio lambda counts as a constant, as in the paper (section 3.5): the refrax
     moves with camera and point, but the bend does not. A point's depth has no derivative then. An approximation.
