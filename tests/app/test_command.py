@@ -35,8 +35,8 @@ def test_a_run_leaves_the_promised_files_and_a_right_reconstruction(complete_run
     assert len(points) == found["points"] > 1000
     assert colors.float().std() > 10
     assert (points[:, 2] < 0).all()
-    reconstruction = load_cameras(run / "cameras.json")
-    assert reconstruction.center[0].tolist() == pytest.approx([0.0, 0.0, 30.0], abs=1e-9)
+    cameras = load_cameras(run / "cameras.json")
+    assert cameras.center_in_world[0].tolist() == pytest.approx([0.0, 0.0, 30.0], abs=1e-9)
     events = EventAccumulator(str(run / "events"), size_guidance={"tensors": 1}).Reload()
     assert {"adjustment/cost", "verification/inliers", "registration/images"} <= set(events.Tags()["scalars"])
     assert any(tag.startswith("sparse") for tag in events.Tags()["tensors"])

@@ -415,7 +415,7 @@ def _write_masks(place, size, value):
     ("harm", "sentence"),
     [
         (_stand_in_one_place, "no two of 3 registered images see common points at an angle of more than 1 degree"),
-        (_forget_points, "the reconstruction has no sparse points, which say where to look"),
+        (_forget_points, "the scene has no sparse points, which say where to look"),
         (lambda p: _write_masks(p, (48, 64), 255), "masks/cam00.png is 64x48, but the images are 320x240"),
         (lambda p: _write_masks(p, (240, 320), 0), "no patch of the surface looks the same in several images"),
     ],

@@ -10,10 +10,11 @@ import torch
 from torch import Tensor
 
 from tests.tolerances import assert_matches
-from torchrefrac.bundle import BundleOptions, BundleState, GravityPrior, Observations, adjust
-from torchrefrac.geometry import heading_rotation, level_rotation, rotate, so3_exp
+from torchrefrac.bundle import BundleOptions, GravityPrior, adjust
+from torchrefrac.geometry import Rigid, heading_rotation, level_rotation, rotate, so3_exp
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.refinement import TwoViews, tilt_and_heading
+from torchrefrac.scene import Interfaces, Observations, Scene
 
 HEIGHT = 30.0
 PIXEL_SIGMA, GRAVITY_SIGMA = 0.5, math.radians(1.0)
@@ -226,9 +227,10 @@ def test_it_is_the_bundle_adjustment_of_both_cameras_and_all_points(make_planted
     found = planted.refined(max_error=1e3)
 
     point, camera = torch.arange(150).repeat_interleave(2), torch.arange(2).repeat(150)
+    seen = Observations(camera, point, planted.pixels[camera, point])
+    water = Interfaces.level(views.index_ratio)
     report = adjust(
-        BundleState(basin.rotation, basin.center, basin.points, basin.lens, views.index_ratio),
-        Observations(camera, point, planted.pixels[camera, point]),
+        Scene.create(Rigid(basin.rotation, basin.center), basin.lens, water, basin.points, seen),
         BundleOptions(
             loss="squared",
             pixel_sigma=PIXEL_SIGMA,
@@ -236,7 +238,7 @@ def test_it_is_the_bundle_adjustment_of_both_cameras_and_all_points(make_planted
         ),
         terms=[GravityPrior(-views.cam_from_level[..., 2], GRAVITY_SIGMA)],
     )
-    adjusted = _model(views.cam_from_level, report.state.rotation, report.state.center)
+    adjusted = _model(views.cam_from_level, report.scene.views.rotation, report.scene.views.center)
 
     difference = (found - adjusted) / planted.covariance().diagonal().sqrt()
     assert ((planted.truth - adjusted) / planted.covariance().diagonal().sqrt()).abs().max() > 0.3
