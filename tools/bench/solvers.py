@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
+from typing import Any
 
 import numpy as np
 import torch
@@ -108,7 +109,7 @@ def _best(found: tuple[Tensor, Tensor, Tensor], truth: Tensor, scale: float, exa
     return float(torch.where(valid, error, torch.inf).min())
 
 
-def _report_relative(run: Callable) -> None:
+def _report_relative(run: Callable[..., Any]) -> None:
     title = f"relative pose RANSAC, {MATCHES} matches, 0.5 px"
     print(f"\n{title:<44}{'right':>8}{'position':>10}{'heading':>10}{'/ CRB':>8}{'ms':>8}{'samples':>9}")
     for geometry in GEOMETRIES:
@@ -147,7 +148,7 @@ def _cramer_rao(problem: Problem) -> float:
     return float(covariance.diagonal()[5:].sum().sqrt()) / problem.baseline
 
 
-def _report_absolute(run: Callable) -> None:
+def _report_absolute(run: Callable[..., Any]) -> None:
     title = f"absolute pose RANSAC, {MATCHES} points, 0.5 px"
     print(f"\n{title:<44}{'right':>8}{'position':>10}{'rotation':>10}{'':>8}{'ms':>8}{'samples':>9}")
     for geometry in GEOMETRIES:
@@ -180,7 +181,7 @@ def _absolute(geometry: str, outliers: float, gravity_deg: float, seed: int) -> 
     return position, angle, seconds, report.num_samples
 
 
-def _report_vertical(run: Callable) -> None:
+def _report_vertical(run: Callable[..., Any]) -> None:
     """Pairs whose verticals nobody measured: how far off the estimated ones are, and how honest their sigma is."""
     title = f"unknown verticals, {MATCHES} matches, 0.5 px"
     print(f"\n{title:<44}{'< 1 deg':>8}{'median':>10}{'95 %':>10}{'/ sigma':>8}{'ms':>8}")
@@ -229,7 +230,7 @@ def _report_speed() -> None:
     _report_scoring()
 
 
-def _poselib(geometry: str, relative: bool, seed: int, options: dict) -> float:
+def _poselib(geometry: str, relative: bool, seed: int, options: dict[str, Any]) -> float:
     """Seconds on the same scene without water."""
     try:
         import poselib  # noqa: PLC0415 - a peer that need not be there

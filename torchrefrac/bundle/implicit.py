@@ -144,5 +144,7 @@ class _Solve(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, *gradients: Float[Tensor, " unknowns"]) -> tuple[Float[Tensor, " unknowns"], None]:
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride] - the decorator hides the names
+        ctx: Any, *gradients: Float[Tensor, " unknowns"]
+    ) -> tuple[Float[Tensor, " unknowns"], None]:
         return ctx.solve(gradients[0]), None

@@ -145,7 +145,7 @@ def _recorders(folder: Path, quiet: bool, append: bool = False) -> Generator[Run
 
 
 @contextmanager
-def _may_fail(folder: Path | None = None) -> Iterator[None]:
+def _may_fail(folder: Path | None = None) -> Generator[None, None, None]:
     """Errors for the user are printed, and make the exit status 1."""
     try:
         yield

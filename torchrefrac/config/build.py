@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 from torchrefrac.checks import TorchrefracError
 
 T = TypeVar("T")
-PLAIN = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+PLAIN: dict[Any, str] = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 
 
 class OptionError(TorchrefracError, ValueError):
