@@ -10,7 +10,7 @@ from torchrefrac.figures import dense as dense_figures
 from torchrefrac.figures.dense import draw_dense_views
 from torchrefrac.figures.depth_map import draw_depth_map
 from torchrefrac.figures.error_map import ErrorPanel, draw_error_map, error_panel
-from torchrefrac.figures.panels import from_side, oblique
+from torchrefrac.figures.panels import EMPTY, from_side, oblique
 from torchrefrac.figures.side_views import SideView
 from torchrefrac.files.library import embedded_scene
 from torchrefrac.files.truth import load_truth
@@ -178,7 +178,7 @@ def test_a_depth_map_is_drawn_whatever_it_holds(tmp_path, draw, share):
     image = cv2.imread(str(tmp_path / "depth.png"))
     assert image.shape[1] > image.shape[0] > 300
     middle = image[200:-200, 150:650]
-    neutral = (middle == int(dense_figures.EMPTY[1:3], 16)).all(axis=-1).mean()
+    neutral = (middle == int(EMPTY[1:3], 16)).all(axis=-1).mean()
     assert neutral == pytest.approx(1.0 - share, abs=0.1)
 
 
