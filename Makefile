@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 # See torchrefrac/launch.py: waiting OpenMP threads must not starve other processes.
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: demo test test-slow lint bench bench-baseline clean
+.PHONY: demo test test-slow lint lint-tests bench bench-baseline clean
 
 demo: $(READY)
 	$(BIN)/torchrefrac -m scene=tank_small model=none,radial,refractive dense=patch out=outputs/demo
@@ -24,6 +24,10 @@ lint: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+
+# The types of the tests, which take what they like from fakes and fixtures.
+lint-tests: $(READY)
+	$(BIN)/pyright -p tests
 
 # Needs an idle machine and half an hour; bench-baseline writes what it measures into tools/bench/baseline.json.
 bench: $(READY)
