@@ -21,7 +21,7 @@ from torchrefrac.dense.images import photographs
 from torchrefrac.dense.rasterize import raster_of
 from torchrefrac.dense.store import CountingStore
 from torchrefrac.evaluate.dense_metrics import evaluate_dense_run
-from torchrefrac.evaluate.metrics import evaluate_run
+from torchrefrac.evaluate.metrics import evaluate
 from torchrefrac.evaluate.textured import points_to_be_found
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.run import DEPTH_MAPS, PARTS
@@ -48,7 +48,7 @@ def densify_run(run: SparseRun, options: DensifyOptions, recorder: Recorder) -> 
     files = RunFolder(run.folder)
     with files.recording_dense():
         truth = load_truth(photographs(run.scene).folder)
-        alignment = evaluate_run(run.scene, truth)[1]
+        alignment = None if truth is None else evaluate(run.scene, truth)[1]
         dense_stage(files, run.scene, options.dense, options.outputs, truth, alignment, recorder)
     return files.metrics
 

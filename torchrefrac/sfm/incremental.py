@@ -92,8 +92,8 @@ class _Growth:
         """Yields the scene after every view that could be registered."""
         adjusted_at = scene.views.num_registered
         while (view := self._next_view(scene)) is not None:
-            seen, name = int(visible_points(scene)[view]), scene.views.names[view]
             scene, outcome = register(scene, view, self.rules)
+            seen, name = int(outcome.numbers["seen"]), scene.views.names[view]
             if not outcome.done:
                 self._refused[view] = seen
                 self.failures[name] = str(outcome)
