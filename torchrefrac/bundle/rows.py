@@ -63,11 +63,7 @@ class RowModel:
 
 
 def observation_rows(
-    model: RowModel,
-    scene: Scene,
-    seen: Observations,
-    compiled: bool = False,
-    out: Float[Tensor, "..."] | None = None,
+    model: RowModel, scene: Scene, seen: Observations, compiled: bool = False, out: Float[Tensor, "..."] | None = None
 ) -> tuple[Float[Tensor, "2 row k"], Float[Tensor, ""]]:
     """Rows, weighted, and the cost of the observations `seen`, which need not be those of the scene.
 

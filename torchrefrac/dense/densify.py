@@ -29,10 +29,7 @@ class Dense(NamedTuple):
 
 
 def densify(
-    scene: Scene,
-    options: DenseOptions | None = None,
-    recorder: Recorder | None = None,
-    store: Store | None = None,
+    scene: Scene, options: DenseOptions | None = None, recorder: Recorder | None = None, store: Store | None = None
 ) -> Dense:
     """Dense points of the surfaces that the registered views show.
 

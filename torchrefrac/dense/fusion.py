@@ -61,11 +61,7 @@ def _tables(patches: Patches, cameras: RefractiveCamera, cell: int) -> list[Int[
 
 
 def _found_again(
-    patches: Patches,
-    rows: Int[Tensor, " k"],
-    camera: RefractiveCamera,
-    table: Int[Tensor, "rows columns"],
-    cell: int,
+    patches: Patches, rows: Int[Tensor, " k"], camera: RefractiveCamera, table: Int[Tensor, "rows columns"], cell: int
 ) -> tuple[Int[Tensor, " k"], Float[Tensor, " k"], Bool[Tensor, " k"]]:
     """The other view's patch where each of `rows` is seen, how far its plane is along the normal, and whether the two
     are the same surface."""

@@ -151,11 +151,7 @@ class Elimination:
 
 
 def _summed(
-    by: Float[Tensor, "3 size k"],
-    place: Int[Tensor, " k"],
-    reduced: Int[Tensor, " k"],
-    family: Family,
-    places: int,
+    by: Float[Tensor, "3 size k"], place: Int[Tensor, " k"], reduced: Int[Tensor, " k"], family: Family, places: int
 ) -> Float[Tensor, "places 3 shared"]:
     """Summed over the observations of each eliminated block that share a member of the family, members side by side."""
     member = place if family.count == 1 else place * family.count + family.member[reduced]

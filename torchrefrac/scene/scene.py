@@ -234,10 +234,7 @@ class Scene:
         )
 
     def with_points(
-        self,
-        points: Float[Tensor, "n 3"],
-        colors: UInt8[Tensor, "n 3"],
-        observations: Observations | None = None,
+        self, points: Float[Tensor, "n 3"], colors: UInt8[Tensor, "n 3"], observations: Observations | None = None
     ) -> "Scene":
         """With these points, all of them placed, and these observations of them, all of them accepted; none by
         default."""

@@ -67,10 +67,7 @@ class Views:
         return int(self.registered.sum())
 
     def at(
-        self,
-        rotation: Float[Tensor, "k 3 3"],
-        center: Float[Tensor, "k 3"],
-        view: Int[Tensor, " k"] | None = None,
+        self, rotation: Float[Tensor, "k 3 3"], center: Float[Tensor, "k 3"], view: Int[Tensor, " k"] | None = None
     ) -> "Views":
         """Views `view`, by default all, registered at these poses."""
         if view is None:

@@ -25,10 +25,7 @@ FIRST = ("plane_tilt", "plane_height")  # may vary at once; intrinsics and index
 
 
 def readjust(
-    scene: Scene,
-    survey: Survey | None = None,
-    options: ReadjustOptions | None = None,
-    recorder: Recorder | None = None,
+    scene: Scene, survey: Survey | None = None, options: ReadjustOptions | None = None, recorder: Recorder | None = None
 ) -> tuple[Scene, Outcome]:
     """Adjust `scene` with refraction at its interfaces and the measurements of `survey`.
 

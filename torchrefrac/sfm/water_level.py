@@ -22,10 +22,7 @@ AS_GOOD = 1.1
 
 
 def with_found_level(
-    scene: Scene,
-    survey: Survey | None = None,
-    options: ReadjustOptions | None = None,
-    recorder: Recorder | None = None,
+    scene: Scene, survey: Survey | None = None, options: ReadjustOptions | None = None, recorder: Recorder | None = None
 ) -> Scene:
     """The scene with its one surface at the height, of those tried, from which a short adjustment fits the images best;
     where several do about as well, that with which the cameras stay nearest to where they are.
