@@ -19,25 +19,7 @@ from torchrefrac.bundle.terms import (
 from torchrefrac.bundle.uncertainty import Uncertainty, estimate_pixel_sigma, uncertainty
 
 __all__ = [
-    "BundleOptions",
-    "BundleProblem",
-    "BundleReport",
-    "CenterPrior",
-    "Determination",
-    "Expectations",
-    "GravityPrior",
-    "HeightPrior",
-    "KnownPoints",
-    "ScaleBars",
-    "Term",
-    "UnadjustableError",
-    "Uncertainty",
-    "Waterline",
-    "adjust",
-    "adjust_differentiably",
-    "adjust_pose",
-    "check_inputs",
-    "determinations",
-    "estimate_pixel_sigma",
-    "uncertainty",
-]
+    "BundleOptions", "BundleProblem", "BundleReport", "CenterPrior", "Determination", "Expectations", "GravityPrior",
+    "HeightPrior", "KnownPoints", "ScaleBars", "Term", "UnadjustableError", "Uncertainty", "Waterline", "adjust",
+    "adjust_differentiably", "adjust_pose", "check_inputs", "determinations", "estimate_pixel_sigma", "uncertainty",
+]  # fmt: skip

@@ -7,13 +7,6 @@ from torchrefrac.dense.store import FolderStore
 from torchrefrac.dense.window import Window
 
 __all__ = [
-    "Dense",
-    "DenseError",
-    "DenseOptions",
-    "FolderStore",
-    "SweepOptions",
-    "Window",
-    "densify",
-    "depth_maps",
+    "Dense", "DenseError", "DenseOptions", "FolderStore", "SweepOptions", "Window", "densify", "depth_maps",
     "patch_costs",
-]
+]  # fmt: skip

@@ -14,13 +14,6 @@ from torchrefrac.minimal.relative_pose import relative_pose_7pt, relative_pose_n
 from torchrefrac.minimal.triangulation import triangulate, triangulation_angle
 
 __all__ = [
-    "absolute_pose_2pt",
-    "absolute_pose_known_heading",
-    "absolute_pose_lsqi",
-    "relative_pose_3pt",
-    "relative_pose_4pt",
-    "relative_pose_7pt",
-    "relative_pose_npt",
-    "triangulate",
-    "triangulation_angle",
-]
+    "absolute_pose_2pt", "absolute_pose_known_heading", "absolute_pose_lsqi", "relative_pose_3pt", "relative_pose_4pt",
+    "relative_pose_7pt", "relative_pose_npt", "triangulate", "triangulation_angle",
+]  # fmt: skip

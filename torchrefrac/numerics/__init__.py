@@ -13,22 +13,7 @@ from torchrefrac.numerics.small import inverse_cholesky_3x3, inverse_cholesky_co
 from torchrefrac.numerics.trigonometric import fourier_coefficients, roots_on_circle
 
 __all__ = [
-    "adjugate_4x4",
-    "alike",
-    "determinant_4x4",
-    "fourier_coefficients",
-    "in_blocks",
-    "in_double",
-    "inverse_cholesky_3x3",
-    "inverse_cholesky_components",
-    "least_squares_on_circle",
-    "like",
-    "morton_code",
-    "pick",
-    "real_roots",
-    "roots_on_circle",
-    "segment_sum",
-    "segment_sum_columns",
-    "smallest_eigenvector_2x2",
-    "thin",
-]
+    "adjugate_4x4", "alike", "determinant_4x4", "fourier_coefficients", "in_blocks", "in_double",
+    "inverse_cholesky_3x3", "inverse_cholesky_components", "least_squares_on_circle", "like", "morton_code", "pick",
+    "real_roots", "roots_on_circle", "segment_sum", "segment_sum_columns", "smallest_eigenvector_2x2", "thin",
+]  # fmt: skip

@@ -6,11 +6,6 @@ from torchrefrac.ransac.rays import level_rays
 from torchrefrac.ransac.relative import RelativePoseEstimator
 
 __all__ = [
-    "AbsolutePoseEstimator",
-    "Estimator",
-    "RansacOptions",
-    "RansacReport",
-    "RelativePoseEstimator",
-    "level_rays",
+    "AbsolutePoseEstimator", "Estimator", "RansacOptions", "RansacReport", "RelativePoseEstimator", "level_rays",
     "ransac",
-]
+]  # fmt: skip

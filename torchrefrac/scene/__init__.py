@@ -12,23 +12,7 @@ from torchrefrac.scene.truth import Truth, TruthPoints
 from torchrefrac.scene.views import Views
 
 __all__ = [
-    "Assessment",
-    "Cameras",
-    "Capture",
-    "CaptureError",
-    "DenseCloud",
-    "DepthMap",
-    "Interfaces",
-    "Observations",
-    "Part",
-    "Raster",
-    "Scene",
-    "SceneError",
-    "Survey",
-    "SurveyError",
-    "Truth",
-    "TruthPoints",
-    "Views",
-    "mean_deviation",
+    "Assessment", "Cameras", "Capture", "CaptureError", "DenseCloud", "DepthMap", "Interfaces", "Observations", "Part",
+    "Raster", "Scene", "SceneError", "Survey", "SurveyError", "Truth", "TruthPoints", "Views", "mean_deviation",
     "reprojection_errors",
-]
+]  # fmt: skip
