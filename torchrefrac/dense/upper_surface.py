@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
-from torchrefrac.numerics.segments import segment_sum
+from torchrefrac.numerics import segment_sum
 from torchrefrac.scene import DenseCloud
 
 SIGMAS, PART, ROUNDS = 3.0, 4, 4  # a surface is this thick, has at least 1 / PART of the support of the best one

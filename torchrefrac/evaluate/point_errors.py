@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.evaluate.true_surface import TrueSurface
 from torchrefrac.geometry import Similarity
-from torchrefrac.numerics.segments import segment_sum
+from torchrefrac.numerics import segment_sum
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.scene import Scene
 

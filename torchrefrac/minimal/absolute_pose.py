@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchrefrac.minimal.rank import determines
 from torchrefrac.minimal.rays import (
     Number,
     Rays,
@@ -21,7 +20,7 @@ from torchrefrac.minimal.rays import (
     require_weights,
     slopes,
 )
-from torchrefrac.numerics import least_squares_on_circle, like
+from torchrefrac.numerics import determines, least_squares_on_circle, like
 
 TwoPoses = tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch 2 3"], Bool[Tensor, "*batch 2"]]
 

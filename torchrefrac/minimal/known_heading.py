@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.checks import require, require_broadcasting
-from torchrefrac.minimal.rank import ROUNDING
 from torchrefrac.minimal.rays import (
     Number,
     Rays,
@@ -29,6 +28,7 @@ from torchrefrac.minimal.rays import (
     slopes,
 )
 from torchrefrac.numerics import like
+from torchrefrac.numerics.small import ROUNDING
 
 Centers = tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]
 

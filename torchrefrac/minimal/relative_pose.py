@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.checks import require
-from torchrefrac.minimal.rank import determines
 from torchrefrac.minimal.rays import (
     Number,
     Rays,
@@ -28,7 +27,7 @@ from torchrefrac.minimal.rays import (
     require_pairs,
     require_weights,
 )
-from torchrefrac.numerics import like, smallest_eigenvector_2x2
+from torchrefrac.numerics import determines, like, smallest_eigenvector_2x2
 
 Poses = tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch 2 3"], Bool[Tensor, "*batch 2"]]
 

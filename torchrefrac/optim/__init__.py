@@ -26,10 +26,8 @@ What is computed when, for N observations of w reduced unknowns each:
 """
 
 from torchrefrac.optim.batched import Quadratic, SmallProblems, SmallReport, covariance_of, minimize_each, solve_damped
-from torchrefrac.optim.covariance import Covariance
-from torchrefrac.optim.dense import solve_dense
+from torchrefrac.optim.dense import Covariance, GaussNewtonInverse, SingularError, solve_dense
 from torchrefrac.optim.elimination import Elimination
-from torchrefrac.optim.inverse import GaussNewtonInverse, SingularError
 from torchrefrac.optim.iterative import IterativeOptions, conjugate_gradients, solve_iteratively
 from torchrefrac.optim.levenberg_marquardt import (
     LevenbergMarquardtOptions,

@@ -1,8 +1,9 @@
-"""Real roots of batches of trigonometric polynomials f(x) = a_0 + sum_k a_k cos kx + b_k sin kx on the circle.
+"""Roots of batches of small polynomials, and real ones of trigonometric polynomials on the circle,
+f(x) = a_0 + sum_k a_k cos kx + b_k sin kx.
 
-A companion matrix has them among its complex roots, those on the unit circle; scanning is ten times faster and keeps
-to real numbers. Between two nodes of a grid f has one root where its sign changes. Where it does not, but its slope
-does, the extremum in between is one more node: it tells two roots from none.
+A companion matrix has the latter among its complex roots; scanning is ten times faster and keeps to real numbers.
+Between two nodes of a grid f has one root where its sign changes. Where it does not, but its slope does, the extremum in
+between is one more node: it tells two roots from none.
 """
 
 import math
@@ -107,3 +108,24 @@ def _slope(coefficients: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]
     k = torch.arange(1, waves.shape[-2] + 1, dtype=waves.dtype, device=waves.device)
     turned = torch.stack((k * waves[..., 1], -k * waves[..., 0]), dim=-1).flatten(-2)
     return torch.cat((torch.zeros_like(turned[..., :1]), turned), dim=-1)
+
+
+def real_roots(
+    coefficients: Float[Tensor, "*batch terms"], tolerance: float | None = None
+) -> tuple[Float[Tensor, "*batch n"], Bool[Tensor, "*batch n"]]:
+    """All roots of `coefficients[0] x^n + ... + coefficients[n]`, and which of them are real.
+
+    coefficients: the n + 1 of each polynomial, highest power first, the first one not zero.
+    Returns the real parts and a mask; a root counts as real when its imaginary part is
+    below `tolerance` times max(1, |root|) (default: 64 square roots of the machine epsilon, which still
+    admits the double roots that rounding has split into a conjugate pair).
+    """
+    monic = coefficients[..., 1:] / coefficients[..., :1]
+    degree = monic.shape[-1]
+    companion = torch.diag_embed(monic.new_ones(*monic.shape[:-1], degree - 1), offset=-1)
+    companion[..., 0, :] = -monic
+    roots = torch.linalg.eigvals(companion)
+    if tolerance is None:
+        tolerance = 64.0 * torch.finfo(monic.dtype).eps ** 0.5
+    is_real = roots.imag.abs() <= tolerance * roots.abs().clamp(min=1.0)
+    return roots.real, is_real
