@@ -51,10 +51,10 @@ def test_a_known_point_costs_its_squared_reprojection_error_or_infinity_behind_t
 
     errors = estimator.squared_errors(models, None)
 
-    rotation, center = estimator.view.poses(models)
+    rotation, center = estimator.data.poses(models)
     camera = RefractiveCamera(basin.lens, rotation, center, FlatInterface(1.33))[:, None]
     pixels, valid = camera.project(basin.points)
-    noisy = estimator.view.plane * basin.lens.focal + basin.lens.principal_point
+    noisy = estimator.data.plane * basin.lens.focal + basin.lens.principal_point
     expected = torch.where(valid, (pixels - noisy).square().sum(dim=-1), torch.inf)
     assert 0 < valid.sum() < valid.numel()
     torch.testing.assert_close(errors, expected, rtol=1e-6, atol=1e-8)
@@ -151,9 +151,9 @@ def test_identical_matches_give_no_pose(make_problem, generator, kind):
     estimator, _, _, _ = make_problem(kind)
     alike = torch.zeros(50, dtype=torch.long)
     if kind == "relative":
-        same = RelativePoseEstimator(estimator.views.rows(alike))
+        same = RelativePoseEstimator(estimator.data.rows(alike))
     else:
-        same = AbsolutePoseEstimator(estimator.view.rows(alike))
+        same = AbsolutePoseEstimator(estimator.data.rows(alike))
 
     report = ransac(same, replace(OPTIONS, max_samples=400), generator)
 
@@ -214,7 +214,7 @@ def test_where_the_water_hardly_bends_light_the_pose_is_not_determined_and_the_r
 
 def test_points_all_but_in_one_place_do_not_determine_an_absolute_pose(make_problem, draw):
     estimator, truth, _, _ = make_problem("absolute")
-    view = estimator.view
+    view = estimator.data
     near = replace(view, points=view.points[:1] + 1e-3 * draw.normal(200, 3))
 
     assert "too close together" in AbsolutePoseEstimator(near).degeneracy(truth, torch.ones(200, dtype=torch.bool))

@@ -27,7 +27,7 @@ def test_the_pose_and_its_inliers_are_those_of_the_cpu(make_problem, kind):
 
 
 def _on_gpu(estimator):
-    data = estimator.views if isinstance(estimator, RelativePoseEstimator) else estimator.view
+    data = estimator.data
     values = {f.name: getattr(data, f.name) for f in fields(data)}
     moved = replace(data, **{k: v.cuda() for k, v in values.items() if isinstance(v, torch.Tensor)})
     return (RelativePoseEstimator if isinstance(estimator, RelativePoseEstimator) else AbsolutePoseEstimator)(moved)

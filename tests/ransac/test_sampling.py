@@ -6,7 +6,7 @@ import pytest
 import torch
 from scipy.stats import chisquare
 
-from torchrefrac.ransac.sampling import draw_samples
+from torchrefrac.ransac.msac import draw_samples
 
 
 @pytest.mark.parametrize(("num_data", "size"), [(6, 1), (6, 2), (6, 4), (7, 6)])

@@ -2,8 +2,8 @@
 f(x) = a_0 + sum_k a_k cos kx + b_k sin kx.
 
 A companion matrix has the latter among its complex roots; scanning is ten times faster and keeps to real numbers.
-Between two nodes of a grid f has one root where its sign changes. Where it does not, but its slope does, the extremum in
-between is one more node: it tells two roots from none.
+Between two nodes of a grid f has one root where its sign changes. Where it does not, but its slope does, the extremum
+in between is one more node: it tells two roots from none.
 """
 
 import math

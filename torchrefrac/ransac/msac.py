@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.checks import require
-from torchrefrac.ransac.sampling import draw_samples
 
 SCORE_ELEMENTS = 1 << 15
 Status = Literal["success", "too_few_data", "no_consensus", "degenerate"]
@@ -190,3 +189,18 @@ class _Search:
             self.wanted = 0
         elif hits > 0.0:
             self.wanted = math.ceil(math.log(1.0 - self.options.confidence) / math.log1p(-hits))
+
+
+def draw_samples(count: int, num_data: int, size: int, generator: torch.Generator) -> Int[Tensor, "{count} {size}"]:
+    """Uniform random subsets of 0 ... num_data - 1.
+
+    Floyd's algorithm (Bentley & Floyd, CACM 1987): of the numbers up to j one is drawn, and j itself is taken in place
+    of one that is in the sample already. On the device of the generator.
+    """
+    samples = torch.empty(count, size, dtype=torch.long, device=generator.device)
+    for k in range(size):
+        j = num_data - size + k
+        drawn = torch.randint(j + 1, (count,), generator=generator, device=generator.device)
+        taken = (samples[:, :k] == drawn[:, None]).any(dim=-1)
+        samples[:, k] = torch.where(taken, j, drawn)
+    return samples

@@ -1,19 +1,33 @@
-"""What the estimators of a relative and of an absolute pose share: all but how a sample is solved."""
+"""Relative and absolute poses of cameras above water with measured verticals, as `ransac` wants them estimated.
 
+Models are refined in stages, from a wide limit of the errors to a narrow one.
+"""
+
+from collections.abc import Sequence
 from typing import Generic, Protocol, TypeVar
 
 import torch
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
-from torchrefrac.ransac.stages import Refinable, Stages, refine_in_stages, tightened
+from torchrefrac.checks import require
+from torchrefrac.minimal.absolute_pose import unchecked_absolute_pose_2pt
+from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt
+from torchrefrac.minimal.known_heading import unchecked_absolute_pose_known_heading, unchecked_relative_pose_3pt
+from torchrefrac.optim import SmallReport
+from torchrefrac.ransac.degeneracy import explain_absolute, explain_relative
+from torchrefrac.refinement import OneView, TwoViews
 
 LAST_ITERATIONS = 6
+LEAST_LIMIT = 0.05
 TILT_PX = 20.0
 
+Stages = Sequence[tuple[float, int]]
+"""How far max_error is widened, and the iterations."""
 
-class PoseData(Refinable, Protocol):
-    """`TwoViews` or `OneView`."""
+
+class PoseData(Protocol):
+    """Matches or points that models can be refined to: `TwoViews` or `OneView`."""
 
     @property
     def focal(self) -> Float[Tensor, " 2"]: ...
@@ -27,6 +41,12 @@ class PoseData(Refinable, Protocol):
 
     def single(self) -> "PoseData": ...
 
+    def squared_errors(self, models: Float[Tensor, "k d"]) -> Float[Tensor, "k n"]: ...
+
+    def refine(self, models: Float[Tensor, "k d"], max_error: float, max_iterations: int) -> SmallReport: ...
+
+    def costs(self, models: Float[Tensor, "k d"], max_error: float) -> Float[Tensor, " k"]: ...
+
 
 D = TypeVar("D", bound=PoseData)
 
@@ -37,29 +57,127 @@ class PoseEstimator(Generic[D]):
     quick, thorough: the stages of both depths of the optimisation; a thorough one ends with the limit of the noise.
     """
 
-    def __init__(self, data: D, quick: Stages, thorough: Stages) -> None:
-        self._data, self._single = data, data.single()
-        self._quick, self._thorough = quick, thorough
+    quick: Stages
+    thorough: Stages
+
+    def __init__(self, data: D) -> None:
+        self.data, self._single = data, data.single()
 
     @property
     def num_data(self) -> int:
-        return len(self._data)
+        return len(self.data)
 
     @property
     def samples_per_hit(self) -> float:
         """Measured: near one while the vertical is good to 10 pixels, and growing with its squared error from there."""
-        return 1.0 + (self._data.gravity_sigma * float(self._data.focal.mean()) / TILT_PX) ** 2
+        return 1.0 + (self.data.gravity_sigma * float(self.data.focal.mean()) / TILT_PX) ** 2
 
     def squared_errors(self, models: Float[Tensor, "k d"], rows: Int[Tensor, " n"] | None) -> Float[Tensor, "k n"]:
-        data = self._single if models.dtype == torch.float32 else self._data
+        data = self._single if models.dtype == torch.float32 else self.data
         return (data if rows is None else data.rows(rows)).squared_errors(models)
 
     def optimize(
         self, models: Float[Tensor, "k d"], max_error: float, rows: Int[Tensor, " n"] | None, thorough: bool
     ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
-        data = self._data if rows is None else self._data.rows(rows)
-        models = refine_in_stages(data, models, max_error, self._thorough if thorough else self._quick)
+        data = self.data if rows is None else self.data.rows(rows)
+        models = refine_in_stages(data, models, max_error, self.thorough if thorough else self.quick)
         if thorough:
             limit = tightened(data.squared_errors(models), max_error)
             models = data.refine(models, limit, LAST_ITERATIONS).states
         return models, data.costs(models, max_error)
+
+
+class RelativePoseEstimator(PoseEstimator[TwoViews]):
+    """Models are those of `TwoViews`: tilts of both cameras (4), heading and centre of the second, relative to the
+    first at (0, 0, height) with heading 0.
+
+    Samples are solved with the measured verticals; the optimisation takes in their errors. The error of a match is the
+    smallest correction of both pixels that makes their rays meet, to first order; they must meet below the water.
+    """
+
+    quick, thorough = ((2.0, 3), (1.0, 3)), ((1.0, 40),)
+
+    def __init__(self, views: TwoViews) -> None:
+        require(views.plane1, "image coordinates")
+        require(views.plane2, "plane2")
+        name = "index_ratio (without refraction neither the scale nor the surface shows)"
+        require(views.index_ratio, name, above=1.0)
+        super().__init__(views)
+        self._rays1 = level_rays(views.plane1, views.cam_from_level[0])
+        self._rays2 = level_rays(views.plane2, views.cam_from_level[1])
+
+    @property
+    def sample_size(self) -> int:
+        return 4 if self.data.known_heading is None else 3
+
+    def solve(self, samples: Int[Tensor, "s size"]) -> tuple[Float[Tensor, "s m 8"], Bool[Tensor, "s m"]]:
+        rays1, rays2 = self._rays1[samples], self._rays2[samples]
+        index, height = self.data.index_ratio, self.data.height
+        if self.data.known_heading is None:
+            heading, center, valid = unchecked_relative_pose_4pt(rays1, rays2, index, height)
+        else:
+            heading = rays1.new_full((len(samples), 1), self.data.known_heading)
+            center, valid = unchecked_relative_pose_3pt(rays1, rays2, heading[:, 0], index, height)
+            center, valid = center[:, None], valid[:, None]
+        tilts = torch.zeros_like(heading)[..., None].expand(*heading.shape, 4)
+        return torch.cat((tilts, heading[..., None], center), dim=-1), valid
+
+    def degeneracy(self, model: Float[Tensor, " 8"], inliers: Bool[Tensor, " n"]) -> str:
+        return explain_relative(self.data.rows(inliers), model)
+
+
+class AbsolutePoseEstimator(PoseEstimator[OneView]):
+    """Models are those of `OneView`: tilt (2), heading and centre of a camera that sees known points, wet or dry.
+
+    Samples are solved with the measured vertical; the optimisation takes in its error.
+    """
+
+    sample_size = 2
+    quick, thorough = ((4.0, 2), (1.0, 2)), ((1.0, 12),)
+
+    def __init__(self, view: OneView) -> None:
+        require(view.plane, "image coordinates")
+        require(view.points, "points")
+        super().__init__(view)
+        self._rays = level_rays(view.plane, view.cam_from_level)
+
+    def solve(self, samples: Int[Tensor, "s 2"]) -> tuple[Float[Tensor, "s m 6"], Bool[Tensor, "s m"]]:
+        rays, points, index = self._rays[samples], self.data.points[samples], self.data.index_ratio
+        if self.data.known_heading is None:
+            heading, center, valid = unchecked_absolute_pose_2pt(rays, points, index)
+        else:
+            heading = rays.new_full((len(samples), 1), self.data.known_heading)
+            center, valid = unchecked_absolute_pose_known_heading(rays, points, heading[:, 0], index)
+            center, valid = center[:, None], valid[:, None]
+        tilt = torch.zeros_like(heading)[..., None].expand(*heading.shape, 2)
+        return torch.cat((tilt, heading[..., None], center), dim=-1), valid
+
+    def degeneracy(self, model: Float[Tensor, " 6"], inliers: Bool[Tensor, " n"]) -> str:
+        return explain_absolute(self.data.rows(inliers), model)
+
+
+def level_rays(
+    plane: Float[Tensor, "*#batch n 2"], cam_from_level: Float[Tensor, "*#batch 3 3"]
+) -> Float[Tensor, "*batch n 3"]:
+    """Gravity-aligned rays of image-plane coordinates."""
+    return torch.cat((plane, torch.ones_like(plane[..., :1])), dim=-1) @ cam_from_level
+
+
+def refine_in_stages(
+    data: PoseData, models: Float[Tensor, "k d"], max_error: float, stages: Stages
+) -> Float[Tensor, "k d"]:
+    for widened, iterations in stages:
+        models = data.refine(models, widened * max_error, iterations).states
+    return models
+
+
+def tightened(squared_errors: Float[Tensor, "k n"], max_error: float) -> float:
+    """Three robust standard deviations of the errors within max_error, in pixels.
+
+    A wrong match within max_error weighs as much as many right ones. The standard deviation is 1.4826 times the median
+    of what lies within, as for noise without outliers. At most max_error, and at least LEAST_LIMIT.
+    """
+    within = squared_errors[squared_errors < max_error * max_error]
+    if not len(within):
+        return max_error
+    return min(max_error, max(3.0 * 1.4826 * float(within.median().sqrt()), LEAST_LIMIT))

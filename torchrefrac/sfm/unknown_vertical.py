@@ -24,10 +24,10 @@ from torch import Tensor
 from torchrefrac.checks import require
 from torchrefrac.geometry import heading_rotation, level_rotation, rotate
 from torchrefrac.minimal import relative_pose_npt
+from torchrefrac.minimal.rays import require_matches
 from torchrefrac.numerics import thin
 from torchrefrac.optim import covariance_of
-from torchrefrac.ransac.rays import level_rays, require_data
-from torchrefrac.ransac.stages import refine_in_stages, tightened
+from torchrefrac.ransac.pose import level_rays, refine_in_stages, tightened
 from torchrefrac.refinement import TwoViews, tilt_and_heading
 
 CAP_DEG, SPACING_DEG = 75.0, 9.0
@@ -76,7 +76,9 @@ def find_verticals(
     A match is an inlier within max_error pixels. Deterministic. "no_consensus": fewer agree than min_inliers and
     CHANCE_FACTOR times as many as when the matches are shuffled; "degenerate": sigma above MAX_SIGMA_DEG.
     """
-    require_data(plane1, plane2=plane2)
+    require_matches(plane1, plane2=plane2)
+    require(plane1, "image coordinates")
+    require(plane2, "plane2")
     require(index_ratio, "index_ratio", above=1.0)
     require(max_error, "max_error", above=0.0)
     start = pinhole_rotation(plane1, plane2, max_error / float(focal.mean())) if len(plane1) >= min_inliers else None
