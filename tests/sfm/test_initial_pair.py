@@ -6,7 +6,7 @@ import torch
 
 from torchrefrac.features import PairMatches
 from torchrefrac.sfm import PairPose, Rules, SfmOptions, Start, VerifiedPair, start
-from torchrefrac.sfm.start import rank_initial_pairs
+from torchrefrac.sfm.register import rank_initial_pairs
 
 OPTIONS = SfmOptions(min_initial_angle_deg=5.0)
 ROTATION, CENTER = torch.zeros(2, 3, 3), torch.zeros(2, 3)

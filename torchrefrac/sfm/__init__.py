@@ -9,9 +9,8 @@ from torchrefrac.sfm.pinhole import PinholeInitializer
 from torchrefrac.sfm.pose import PairPose, Pose, PoseInitializer
 from torchrefrac.sfm.readjust import readjust
 from torchrefrac.sfm.refractive import RefractiveInitializer
-from torchrefrac.sfm.register import register
+from torchrefrac.sfm.register import register, start
 from torchrefrac.sfm.rules import ReadjustOptions, Rules, SfmOptions
-from torchrefrac.sfm.start import start
 from torchrefrac.sfm.triangulate import triangulate
 from torchrefrac.sfm.verification import VerifiedPair, verify_pairs
 from torchrefrac.sfm.vertical import UnknownVerticalError, level_capture

@@ -1,19 +1,45 @@
-"""Bundle adjustment of what is registered and placed, and what it says about the finished scene."""
+"""Bundle adjustment of what is registered and placed, and how well that determines the finished scene."""
 
 from collections.abc import Callable
+from itertools import count
 
 import torch
+from jaxtyping import Int
+from torch import Tensor
 
-from torchrefrac.bundle import BundleOptions, BundleProblem
+from torchrefrac.bundle import BundleProblem, determinations, uncertainty
 from torchrefrac.bundle import adjust as adjust_bundle
 from torchrefrac.bundle.layout import Layout
-from torchrefrac.recorder import Advance
-from torchrefrac.scene import Assessment, Scene
-from torchrefrac.sfm.assessment import assess
+from torchrefrac.optim import SingularError
+from torchrefrac.recorder import Advance, Recorder
+from torchrefrac.scene import Assessment, Scene, mean_deviation
 from torchrefrac.sfm.outcome import Adjustment, Outcome
 from torchrefrac.sfm.rules import Rules
 
 OnStep = Callable[[int, float, float], None]
+
+
+class Journal:
+    """Reports the adjustments of one reconstruction to a recorder: their steps, and what they lead to."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
+        self._steps, self._shown = count(), count()
+
+    def step(self, iteration: int, cost: float, damping: float) -> None:
+        """One step of one of them."""
+        step = next(self._steps)
+        self._recorder.scalar("adjustment/cost", cost, step)
+        self._recorder.scalar("adjustment/damping", damping, step)
+
+    def show(self, name: str, scene: Scene, ids: Int[Tensor, " k"], most: int | None = None) -> None:
+        """Residuals and the points `ids` (of which at most this many), where anyone wants to see them."""
+        if not self._recorder.wants_pictures:
+            return
+        step = next(self._shown)
+        self._recorder.histogram("residuals/px", scene.errors()[scene.accepted], step)
+        ids = ids[:: 1 if most is None else max(-(-len(ids) // most), 1)]
+        self._recorder.cloud(name, scene.points[ids], scene.colors[ids], step)
 
 
 class Steps:
@@ -57,7 +83,28 @@ def assess_scene(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Assessmen
     part = scene.part()
     if not len(part.scene.observations):
         return Assessment()
-    options: BundleOptions = rules.bundle
-    layout = Layout.create(part.scene, tuple(name for name in options.refine if name not in fixed))
-    problem = BundleProblem.create(part.scene, layout, options, rules.measurements(part))
+    layout = Layout.create(part.scene, tuple(name for name in rules.bundle.refine if name not in fixed))
+    problem = BundleProblem.create(part.scene, layout, rules.bundle, rules.measurements(part))
     return assess(problem, part.scene, fixed)
+
+
+def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str], num_points: int | None = None) -> Assessment:
+    """At the minimum `scene`; fixed: what was not refined, and why; num_points: leave out the points after these.
+
+    Where the data do not determine even the cameras nothing is said but what was fixed.
+    """
+    try:
+        known = uncertainty(problem, scene)
+        found = determinations(problem, scene, known.pixel_sigma) if scene.index_ratio > 1.0 else []
+    except SingularError:
+        return Assessment(fixed=fixed)
+    centers = known.pose[:, 3:, 3:]
+    return Assessment(
+        pixel_sigma=known.pixel_sigma,
+        point_sigma=known.point_sigma[:num_points],
+        center_sigma=mean_deviation(centers),
+        center_covariance=centers,
+        index_ratio_sigma=float(known.index_ratio) if "index_ratio" in problem.layout.water else None,
+        determined=tuple(d.sentence for d in found),
+        fixed=fixed,
+    )

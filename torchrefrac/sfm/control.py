@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 from torch import Tensor
 
 from torchrefrac.bundle import CenterPrior, GravityPrior, HeightPrior, KnownPoints, ScaleBars, Term, Waterline
@@ -32,13 +32,6 @@ def with_control(scene: Scene, survey: Survey) -> Scene:
     )
 
 
-def known_control(survey: Survey) -> Bool[Tensor, " k"]:
-    """Which ground control points have a known position."""
-    known = torch.zeros(len(survey.control_names), dtype=torch.bool)
-    known[survey.known_control] = True
-    return known
-
-
 def check_vertical(scene: Scene, survey: Survey) -> None:
     """Raise SurveyError where measured gravity is nowhere near the negative z axis of the scene."""
     if not len(survey.down_image):
@@ -61,29 +54,25 @@ def survey_terms(survey: Survey, part: Part, ties: int) -> Sequence[Term]:
     """
     image_slot = _slots(part.view, len(survey.names))
     slot = _slots(part.point, ties + len(survey.control_names))[ties:]
-    down, height, center = (
-        _present(image_slot, rows) for rows in (survey.down_image, survey.height_image, survey.center_image)
-    )
-    known, waterline = _present(slot, survey.known_control), _present(slot, survey.waterline_control)
-    bars = (slot[survey.bar_from] >= 0) & (slot[survey.bar_to] >= 0)
     terms: list[Term] = []
-    if len(down):
-        image = image_slot[survey.down_image[down]]
-        terms.append(GravityPrior(survey.down_in_cam[down], survey.down_sigma[down], image))
-    if len(height):
-        image = image_slot[survey.height_image[height]]
-        terms.append(HeightPrior(image, survey.height[height], survey.height_sigma[height]))
-    if len(center):
-        image = image_slot[survey.center_image[center]]
-        terms.append(CenterPrior(image, survey.center[center], survey.center_information[center]))
-    if len(known):
-        point = slot[survey.known_control[known]]
-        terms.append(KnownPoints(point, survey.known_position[known], survey.known_information[known]))
-    if len(waterline):
-        control = slot[survey.waterline_control[waterline]]
+    rows, image = _present(image_slot, survey.down_image)
+    if len(rows):
+        terms.append(GravityPrior(survey.down_in_cam[rows], survey.down_sigma[rows], image))
+    rows, image = _present(image_slot, survey.height_image)
+    if len(rows):
+        terms.append(HeightPrior(image, survey.height[rows], survey.height_sigma[rows]))
+    rows, image = _present(image_slot, survey.center_image)
+    if len(rows):
+        terms.append(CenterPrior(image, survey.center[rows], survey.center_information[rows]))
+    rows, point = _present(slot, survey.known_control)
+    if len(rows):
+        terms.append(KnownPoints(point, survey.known_position[rows], survey.known_information[rows]))
+    rows, point = _present(slot, survey.waterline_control)
+    if len(rows):
         seen = part.scene.observations
-        surface = part.scene.views.interface[seen.view[torch.searchsorted(seen.point, control)]]
-        terms.append(Waterline(control, surface, survey.waterline_sigma[waterline]))
+        surface = part.scene.views.interface[seen.view[torch.searchsorted(seen.point, point)]]
+        terms.append(Waterline(point, surface, survey.waterline_sigma[rows]))
+    bars = (slot[survey.bar_from] >= 0) & (slot[survey.bar_to] >= 0)
     if bool(bars.any()):
         ends = slot[survey.bar_from[bars]], slot[survey.bar_to[bars]]
         terms.append(ScaleBars(*ends, survey.bar_length[bars], survey.bar_sigma[bars]))
@@ -97,6 +86,7 @@ def _slots(ids: Int[Tensor, " k"], count: int) -> Int[Tensor, " n"]:
     return slots
 
 
-def _present(slot: Int[Tensor, " n"], of: Int[Tensor, " k"]) -> Int[Tensor, " p"]:
-    """The rows of measurements `of` views or points that take part."""
-    return (slot[of] >= 0).nonzero()[:, 0]
+def _present(slot: Int[Tensor, " n"], of: Int[Tensor, " k"]) -> tuple[Int[Tensor, " p"], Int[Tensor, " p"]]:
+    """The rows of measurements `of` views or points that take part, and the slots of these."""
+    rows = (slot[of] >= 0).nonzero()[:, 0]
+    return rows, slot[of[rows]]

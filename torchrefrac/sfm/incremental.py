@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import count
 
 import torch
 
@@ -11,14 +10,13 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, Part, Scene
-from torchrefrac.sfm.adjust import Steps, adjust, assess_scene
+from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess_scene
 from torchrefrac.sfm.filter_points import affordable_length, filter_points
 from torchrefrac.sfm.frame import fix_frame
 from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.pose import PoseInitializer
-from torchrefrac.sfm.register import register, visible_points
+from torchrefrac.sfm.register import MIN_INITIAL_POINTS, rank_initial_pairs, register, start, visible_points
 from torchrefrac.sfm.rules import Rules, SfmOptions
-from torchrefrac.sfm.start import MIN_INITIAL_POINTS, rank_initial_pairs, start
 from torchrefrac.sfm.triangulate import triangulate
 from torchrefrac.sfm.verification import VerifiedPair
 
@@ -73,7 +71,7 @@ class _Growth:
         self.failures: dict[str, str] = {}
         self.fixed: dict[str, str] = {}
         self._refused: dict[int, int] = {}  # views that could not be registered, and the points they saw then
-        self._iterations, self._adjustments = count(), count()
+        self.journal = Journal(recorder)
 
     def start(self, empty: Scene, pairs: Sequence[VerifiedPair]) -> Scene:
         for pair in rank_initial_pairs(pairs, self.options):
@@ -124,7 +122,7 @@ class _Growth:
     def adjust(self, scene: Scene) -> Scene:
         """Adjust, drop what no longer fits, and take in what now does."""
         growing = replace(self.rules, bundle=replace(self.rules.bundle, solver=GROWING))
-        scene, outcome = adjust(scene, growing, self._record_step)
+        scene, outcome = adjust(scene, growing, self.journal.step)
         self._record(scene, outcome)
         return triangulate(self._filter(scene, self.rules), self.rules)[0]
 
@@ -135,7 +133,7 @@ class _Growth:
         with self.recorder.meter(self.options.final_rounds * most, "adjusting", "") as advance:
             for _ in range(self.options.final_rounds):
                 scene = self._filter(triangulate(scene, rules)[0], rules)
-                steps = Steps(self._record_step, most, advance)
+                steps = Steps(self.journal.step, most, advance)
                 scene, outcome = adjust(scene, rules, steps)
                 steps.end()
                 self._record(scene, outcome)
@@ -149,11 +147,6 @@ class _Growth:
             self._refused[view] = int(visible_points(scene)[view])
         return scene
 
-    def _record_step(self, iteration: int, cost: float, damping: float) -> None:
-        step = next(self._iterations)
-        self.recorder.scalar("adjustment/cost", cost, step)
-        self.recorder.scalar("adjustment/damping", damping, step)
-
     def _record(self, scene: Scene, outcome: Outcome) -> None:
         """What an adjustment of everything has led to."""
         if outcome.report is not None:
@@ -162,11 +155,6 @@ class _Growth:
         self.show(scene, MOST_SHOWN)
 
     def show(self, scene: Scene, most: int | None = None) -> None:
-        """Residuals and points (of which at most this many), where anyone wants to see them."""
-        if not self.recorder.wants_pictures:
-            return
-        step = next(self._adjustments)
-        self.recorder.histogram("residuals/px", scene.errors()[scene.accepted], step)
+        """The accepted points (of which at most this many), where anyone wants to see them."""
         ids = torch.unique_consecutive(scene.observations.point[scene.accepted])
-        ids = ids[:: 1 if most is None else max(-(-len(ids) // most), 1)]
-        self.recorder.cloud("sparse", scene.points[ids], scene.colors[ids], step)
+        self.journal.show("sparse", scene, ids, most)

@@ -1,23 +1,32 @@
-"""Poses without refraction, for the baselines: OpenCV's essential matrix and PnP."""
+"""Poses without refraction, for the baselines: OpenCV's essential matrix and PnP.
 
-from dataclasses import dataclass
+Those without refraction need a polish: adjust, judge the data again, adjust again.
+"""
+
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchrefrac.bundle import BundleOptions, adjust, adjust_pose
+from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry import Rigid, level_rotation
-from torchrefrac.scene import Capture
-from torchrefrac.sfm.one_view import refine_pose
-from torchrefrac.sfm.pose import PairPose, Pose
+from torchrefrac.numerics import thin
+from torchrefrac.optim import LevenbergMarquardtOptions
+from torchrefrac.scene import Capture, Interfaces, Observations, Scene, reprojection_errors
+from torchrefrac.sfm.pose import PairPose, Pixels, Pose, cameras_of, judge_pair, meet
 from torchrefrac.sfm.rules import SfmOptions
-from torchrefrac.sfm.two_view import refine_pair
 
 MIN_ESSENTIAL = 8
 MIN_PNP = 6
+ROUNDS = 2
+MIN_PAIR_INLIERS, MIN_VIEW_INLIERS = 6, 3
+MAX_MATCHES = 400
+PAIR_SOLVER = LevenbergMarquardtOptions(max_iterations=8, function_tolerance=1e-3)
 
 
 @dataclass(frozen=True)
@@ -31,40 +40,23 @@ class PinholeInitializer:
     def index_ratio(self) -> float:
         return 1.0
 
-    def relative(
-        self,
-        images: tuple[int, int],
-        pixels: tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]],
-        generator: torch.Generator,
-    ) -> PairPose | None:
+    def relative(self, images: tuple[int, int], pixels: Pixels, generator: torch.Generator) -> PairPose | None:
         if len(pixels[0]) < MIN_ESSENTIAL:
             return None
         self._seed(generator)
-        intrinsics = self.capture.intrinsics
-        plane1, plane2 = (intrinsics.plane_from_pixels(p).numpy() for p in pixels)
-        threshold = self.options.ransac.max_error / float(intrinsics.focal.mean())
-        found: Any = cv2.findEssentialMat(
-            plane1, plane2, np.eye(3), cv2.RANSAC, self.options.ransac.confidence, threshold
-        )
-        essential, mask = found
-        if essential is None or essential.shape != (3, 3):
+        intrinsics, options = self.capture.intrinsics, self.options.ransac
+        plane1, plane2 = (intrinsics.plane_from_pixels(p) for p in pixels)
+        threshold = options.max_error / float(intrinsics.focal.mean())
+        found = essential_pose(plane1, plane2, cv2.RANSAC, options.confidence, threshold)
+        if found is None:
             return None
-        _, relative, translation, mask = cv2.recoverPose(essential, plane1, plane2, np.eye(3), mask=mask)
-        inliers = torch.from_numpy(mask[:, 0] > 0)
-        if int(inliers.sum()) < MIN_ESSENTIAL:
-            return None
+        relative, translation, inliers = found
         cam1_from_world = level_rotation(self.capture.down_in_cam[images[0]])
-        relative = torch.from_numpy(relative)
         first = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
-        baseline = -(cam1_from_world.T @ relative.T @ torch.from_numpy(translation[:, 0]))
-        return refine_pair(
-            Rigid(torch.stack((cam1_from_world, relative @ cam1_from_world)), torch.stack((first, first + baseline))),
-            pixels,
-            inliers,
-            intrinsics,
-            self.options.bundle,
-            self.options.ransac.max_error,
-        )
+        baseline = -(cam1_from_world.T @ relative.T @ translation)
+        rotation = torch.stack((cam1_from_world, relative @ cam1_from_world))
+        pose = Rigid(rotation, torch.stack((first, first + baseline)))
+        return refine_pair(pose, pixels, inliers, intrinsics, self.options.bundle, options.max_error)
 
     def absolute(
         self, image: int, pixels: Float[Tensor, "k 2"], points: Float[Tensor, "k 3"], generator: torch.Generator
@@ -97,3 +89,72 @@ class PinholeInitializer:
     @staticmethod
     def _seed(generator: torch.Generator) -> None:
         cv2.setRNGSeed(int(torch.randint(1 << 30, (), generator=generator)))
+
+
+def essential_pose(
+    plane1: Float[Tensor, "k 2"], plane2: Float[Tensor, "k 2"], method: int, confidence: float, threshold: float
+) -> tuple[Float[Tensor, "3 3"], Float[Tensor, "3"], Bool[Tensor, " k"]] | None:
+    """Relative rotation, direction of the translation and consensus of OpenCV's essential matrix."""
+    one, two, ideal = plane1.numpy(), plane2.numpy(), np.eye(3)
+    found: Any = cv2.findEssentialMat(one, two, ideal, method, confidence, threshold)
+    essential, mask = found
+    if essential is None or essential.shape != (3, 3):
+        return None
+    _, rotation, translation, mask = cv2.recoverPose(essential, one, two, ideal, mask=mask)
+    inliers = torch.from_numpy(mask[:, 0] > 0)
+    if int(inliers.sum()) < MIN_ESSENTIAL:
+        return None
+    return torch.from_numpy(rotation), torch.from_numpy(translation[:, 0]), inliers
+
+
+def refine_pair(
+    pose: Rigid,
+    pixels: Pixels,
+    inliers: Bool[Tensor, " k"],
+    intrinsics: Intrinsics,
+    options: BundleOptions,
+    max_error: float,
+) -> PairPose:
+    """Two-view bundle adjustment without refraction from the rough pose of two cameras.
+
+    `inliers` start it; afterwards a match is an inlier when its point reprojects within max_error in both images.
+    The adjustment takes MAX_MATCHES of them, evenly: more do not change the verdict on the rest.
+    """
+    both, air = torch.stack(pixels, dim=1), Interfaces.level(1.0)
+    options = replace(options, refine=(), solver=PAIR_SOLVER)
+    found = PairPose(pose.rotation, pose.center, inliers, 0.0)
+    for _ in range(ROUNDS):
+        rows = thin(inliers.nonzero()[:, 0], MAX_MATCHES)
+        points, _, _ = meet(cameras_of(intrinsics, pose, air.index_ratio[0]), both[rows])
+        seen = Observations(
+            view=torch.arange(2).repeat(len(rows)),
+            point=torch.arange(len(rows)).repeat_interleave(2),
+            pixels=both[rows].flatten(0, 1),
+        )
+        pose = adjust(Scene.create(pose, intrinsics, air, points, seen), options, check=False).scene.views.pose
+        found = judge_pair(pose, pixels, intrinsics, air.index_ratio[0], max_error)
+        inliers = found.inliers
+        if int(inliers.sum()) < MIN_PAIR_INLIERS:
+            break
+    return found
+
+
+def refine_pose(
+    pose: Pose,
+    pixels: Float[Tensor, "k 2"],
+    points: Float[Tensor, "k 3"],
+    intrinsics: Intrinsics,
+    options: BundleOptions,
+    max_error: float,
+) -> Pose:
+    """Adjust one camera without refraction to its inliers, twice; inliers are then those within max_error."""
+    for _ in range(ROUNDS):
+        count = torch.arange(int(pose.inliers.sum()))
+        seen = Observations(torch.zeros_like(count), count, pixels[pose.inliers])
+        rigid, air = Rigid(pose.rotation[None], pose.center[None]), Interfaces.level(1.0)
+        adjusted = adjust_pose(Scene.create(rigid, intrinsics, air, points[pose.inliers], seen), options).scene
+        inliers = reprojection_errors(adjusted.camera_of(0), points, pixels) < max_error
+        pose = Pose(adjusted.views.rotation[0], adjusted.views.center[0], inliers)
+        if int(inliers.sum()) < MIN_VIEW_INLIERS:
+            break
+    return pose

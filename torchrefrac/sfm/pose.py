@@ -1,4 +1,4 @@
-"""What an initialiser must be able to do: the pose of a pair, and of one more view."""
+"""What an initialiser must be able to do: the pose of a pair, and of one more view; and which matches agree on one."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -6,6 +6,13 @@ from typing import Protocol
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+
+from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.geometry import Rigid
+from torchrefrac.refraction import FlatInterface
+from torchrefrac.sfm.rays import Rays
+
+Pixels = tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +43,7 @@ class PoseInitializer(Protocol):
         """n_water / n_air; 1 where the initialiser knows no refraction."""
         ...
 
-    def relative(
-        self,
-        images: tuple[int, int],
-        pixels: tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]],
-        generator: torch.Generator,
-    ) -> PairPose | None:
+    def relative(self, images: tuple[int, int], pixels: Pixels, generator: torch.Generator) -> PairPose | None:
         """Pose of two images from matched pixels."""
         ...
 
@@ -50,3 +52,29 @@ class PoseInitializer(Protocol):
     ) -> Pose | None:
         """Pose of an image that sees known points at these pixels."""
         ...
+
+
+def judge_pair(
+    pose: Rigid, pixels: Pixels, intrinsics: Intrinsics, index_ratio: Float[Tensor, ""], max_error: float
+) -> PairPose:
+    """Which matches, of points in the water or in air, reproject within max_error in both images of a pose."""
+    both = torch.stack(pixels, dim=1)
+    camera = cameras_of(intrinsics, pose, index_ratio)
+    points, angle, valid = meet(camera, both)
+    projected, possible = camera.project(points[:, None])
+    error = (projected - both).norm(dim=-1).amax(dim=-1)
+    inliers = valid & possible.all(dim=-1) & (error < max_error)
+    median = float(angle[inliers].median()) if bool(inliers.any()) else 0.0
+    return PairPose(pose.rotation, pose.center, inliers, median)
+
+
+def meet(
+    camera: RefractiveCamera, both: Float[Tensor, "k 2 2"]
+) -> tuple[Float[Tensor, "k 3"], Float[Tensor, " k"], Bool[Tensor, " k"]]:
+    """Where the rays of matches meet above and below a level surface, at which angle, and whether they do."""
+    return Rays.of(camera, both).meet(lambda points: points[..., 2])
+
+
+def cameras_of(intrinsics: Intrinsics, pose: Rigid, index_ratio: Float[Tensor, ""]) -> RefractiveCamera:
+    """Those of a pair, above a level surface."""
+    return RefractiveCamera(intrinsics, pose.rotation, pose.center, FlatInterface(index_ratio), check=False)

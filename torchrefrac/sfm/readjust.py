@@ -11,9 +11,8 @@ from torch import Tensor
 from torchrefrac.bundle import BundleOptions, Term, UnadjustableError, check_inputs
 from torchrefrac.recorder import Advance, Recorder, SilentRecorder
 from torchrefrac.scene import Part, Scene, Survey
-from torchrefrac.sfm.adjust import Steps, adjust
-from torchrefrac.sfm.assessment import assess
-from torchrefrac.sfm.control import check_vertical, known_control, survey_terms, with_control
+from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess
+from torchrefrac.sfm.control import check_vertical, survey_terms, with_control
 from torchrefrac.sfm.filter_points import filter_points
 from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.rules import ReadjustOptions
@@ -53,27 +52,24 @@ def readjust(
         report, ties = outcome.report, adjusted.placed[: work.ties]
         assessment = assess(report.problem, report.scene, report.fixed, int(ties.sum()))
         advance(1, "")
-    numbers = {
-        "not_triangulated": int((~first.placed[: work.ties]).sum()),
-        "median_before": float(before[before.isfinite()].median()),
-    }
-    return replace(adjusted, assessment=assessment), replace(outcome, numbers=numbers)
+    missing, median = int((~first.placed[: work.ties]).sum()), float(before[before.isfinite()].median())
+    outcome = replace(outcome, numbers={"not_triangulated": missing, "median_before": median})
+    return replace(adjusted, assessment=assessment), outcome
 
 
 class Work:
     """The steps of one adjustment, and what they share."""
 
-    def __init__(
-        self, scene: Scene, survey: Survey, options: ReadjustOptions, recorder: Recorder | None = None
-    ) -> None:
+    def __init__(self, scene: Scene, survey: Survey, options: ReadjustOptions, recorder: Recorder | None) -> None:
         if len(scene.views) < 2:
             raise UnadjustableError(f"the reconstruction has {len(scene.views)} image(s), but an adjustment needs two")
         check_vertical(scene, survey)
         self.survey, self.options, self.ties = survey, options, len(scene.points)
         self.recorder = recorder or SilentRecorder()
-        self.known = torch.cat((torch.zeros(self.ties, dtype=torch.bool), known_control(survey)))
+        self.known = torch.zeros(self.ties + len(survey.control_names), dtype=torch.bool)
+        self.known[self.ties + survey.known_control] = True
         self.rules = options.rules(self._measured, 2 - self.known.long())
-        self._iterations, self._adjustments = count(), count()
+        self.journal, self._adjustments = Journal(self.recorder), count()
 
     def start(self, scene: Scene) -> Scene:
         """All views; points triangulated through the water at their poses, and ground control points after them."""
@@ -117,7 +113,7 @@ class Work:
     def adjust(self, scene: Scene, bundle: BundleOptions, advance: Advance | None = None) -> tuple[Scene, Outcome]:
         """All that takes part. `advance` moves a meter, in all by the number of iterations that there may be."""
         self._check(scene)
-        steps = Steps(self._record_step, bundle.solver.max_iterations, advance or (lambda count, text: None))
+        steps = Steps(self.journal.step, bundle.solver.max_iterations, advance or (lambda count, text: None))
         scene, outcome = adjust(scene, replace(self.rules, bundle=bundle), steps)
         steps.end()
         self._record(scene, outcome)
@@ -126,11 +122,6 @@ class Work:
     def _measured(self, part: Part) -> Sequence[Term]:
         return survey_terms(self.survey, part, self.ties)
 
-    def _record_step(self, iteration: int, cost: float, damping: float) -> None:
-        step = next(self._iterations)
-        self.recorder.scalar("adjustment/cost", cost, step)
-        self.recorder.scalar("adjustment/damping", damping, step)
-
     def _record(self, scene: Scene, outcome: Outcome) -> None:
         """What an adjustment has led to."""
         registered, report = scene.views.num_registered, outcome.report
@@ -138,11 +129,7 @@ class Work:
         step, ties = next(self._adjustments), scene.placed[: self.ties].nonzero()[:, 0]
         self.recorder.scalar("adjustment/images", registered, step)
         self.recorder.scalar("adjustment/points", len(ties), step)
-        if not self.recorder.wants_pictures:
-            return
-        self.recorder.histogram("residuals/px", scene.errors()[scene.accepted], step)
-        ties = ties[:: max(-(-len(ties) // MOST_SHOWN), 1)]
-        self.recorder.cloud("points", scene.points[ties], scene.colors[ties], step)
+        self.journal.show("points", scene, ties, MOST_SHOWN)
 
     def _check(self, scene: Scene) -> None:
         """Refuse what cannot be adjusted. A control point that a single view sees does no harm, but ties nothing."""
@@ -180,9 +167,5 @@ def _above_water(scene: Scene) -> Bool[Tensor, " n"]:
 
 def _same_parts(scene: Scene, other: Scene) -> bool:
     """Whether the same views, points and observations take part."""
-    pairs = (
-        (scene.views.registered, other.views.registered),
-        (scene.placed, other.placed),
-        (scene.accepted, other.accepted),
-    )
-    return all(torch.equal(mine, its) for mine, its in pairs)
+    masks = ((of.views.registered, of.placed, of.accepted) for of in (scene, other))
+    return all(torch.equal(mine, its) for mine, its in zip(*masks, strict=True))

@@ -10,9 +10,8 @@ from torchrefrac.geometry import Rigid, level_rotation
 from torchrefrac.ransac import AbsolutePoseEstimator, RelativePoseEstimator, ransac
 from torchrefrac.refinement import OneView, TwoViews
 from torchrefrac.scene import Capture
-from torchrefrac.sfm.pose import PairPose, Pose
+from torchrefrac.sfm.pose import PairPose, Pixels, Pose, judge_pair
 from torchrefrac.sfm.rules import SfmOptions
-from torchrefrac.sfm.two_view import judge_pair
 
 
 @dataclass(frozen=True)
@@ -23,12 +22,7 @@ class RefractiveInitializer:
     index_ratio: float
     options: SfmOptions
 
-    def relative(
-        self,
-        images: tuple[int, int],
-        pixels: tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]],
-        generator: torch.Generator,
-    ) -> PairPose | None:
+    def relative(self, images: tuple[int, int], pixels: Pixels, generator: torch.Generator) -> PairPose | None:
         intrinsics = self.capture.intrinsics
         views = TwoViews(
             *(intrinsics.plane_from_pixels(p) for p in pixels),

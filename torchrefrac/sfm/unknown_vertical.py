@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -29,6 +28,7 @@ from torchrefrac.numerics import thin
 from torchrefrac.optim import covariance_of
 from torchrefrac.ransac.pose import level_rays, refine_in_stages, tightened
 from torchrefrac.refinement import TwoViews, tilt_and_heading
+from torchrefrac.sfm.pinhole import essential_pose
 
 CAP_DEG, SPACING_DEG = 75.0, 9.0
 ROUNDS = 3
@@ -108,13 +108,8 @@ def pinhole_rotation(
     plane1: Float[Tensor, "n 2"], plane2: Float[Tensor, "n 2"], threshold: float
 ) -> tuple[Float[Tensor, "3 3"], Bool[Tensor, " n"]] | None:
     """Relative rotation and consensus of OpenCV's essential matrix."""
-    one, two, ideal = plane1.numpy(), plane2.numpy(), np.eye(3)
-    essential, mask = cv2.findEssentialMat(one, two, ideal, cv2.USAC_DEFAULT, 0.999, threshold)
-    if essential is None or essential.shape != (3, 3):  # pyright: ignore[reportUnnecessaryComparison]
-        return None
-    inliers = torch.from_numpy(mask[:, 0] > 0)
-    _, rotation, _, _ = cv2.recoverPose(essential, one, two, ideal, mask=mask)
-    return (torch.from_numpy(rotation), inliers) if int(inliers.sum()) >= UNKNOWNS else None
+    found = essential_pose(plane1, plane2, cv2.USAC_DEFAULT, 0.999, threshold)
+    return None if found is None else (found[0], found[2])
 
 
 def _search(
@@ -198,18 +193,11 @@ def _report(views: TwoViews, models: Models, max_error: float, min_inliers: int)
     sigma = _sigma(views, models[0], down[0], tight)
     others = torch.atan2(torch.linalg.cross(down, down[:1].expand_as(down)).norm(dim=-1), (down * down[0]).sum(dim=-1))
     sigma = torch.maximum(sigma, others.amax(dim=0))
-    degrees = math.degrees(float(sigma.amax()))
+    found = UnknownVertical("success", rotations[0], centers[0], inliers, down[0], sigma)
+    if (degrees := math.degrees(float(sigma.amax()))) <= MAX_SIGMA_DEG:
+        return found
     detail = f"the vertical is determined to {degrees:.1f} degrees only: refraction is too weak to show the water"
-    failed = degrees > MAX_SIGMA_DEG
-    return UnknownVertical(
-        "degenerate" if failed else "success",
-        rotations[0],
-        centers[0],
-        inliers,
-        down[0],
-        sigma,
-        detail if failed else "",
-    )
+    return replace(found, status="degenerate", detail=detail)
 
 
 def _sigma(
@@ -227,12 +215,6 @@ def _sigma(
 
 
 def _nothing(plane: Float[Tensor, "n 2"], detail: str) -> UnknownVertical:
-    return UnknownVertical(
-        "no_consensus",
-        plane.new_zeros(2, 3, 3),
-        plane.new_zeros(2, 3),
-        torch.zeros(len(plane), dtype=torch.bool),
-        plane.new_zeros(2, 3),
-        plane.new_full((2,), torch.inf),
-        detail,
-    )
+    vectors, infinite = plane.new_zeros(2, 3), plane.new_full((2,), torch.inf)
+    nobody = torch.zeros(len(plane), dtype=torch.bool)
+    return UnknownVertical("no_consensus", plane.new_zeros(2, 3, 3), vectors, nobody, vectors, infinite, detail)

@@ -1,6 +1,6 @@
 """Which way is down in every image, where nobody measured it: from the refraction in pairs of images.
 
-Each image's best pairs are solved without verticals (see `ransac.unknown_vertical`). Those that agree on an image are
+Each image's best pairs are solved without verticals (see `unknown_vertical`). Those that agree on an image are
 averaged with the weights that their uncertainties give; the others are outliers. Where no pair shows it, a pinhole
 relative rotation to an image that has its vertical carries it over, good to a few degrees. An image that nothing
 relates to the others keeps its optical axis: it cannot be registered either.
@@ -9,7 +9,7 @@ relates to the others keeps its optical axis: it cannot be registered either.
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float, Int
@@ -36,15 +36,6 @@ class UnknownVerticalError(TorchrefracError, RuntimeError):
     """No pair of images shows which way is down."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Estimates:
-    """Verticals from single pairs: of which image, and how uncertain in radians."""
-
-    image: Int[Tensor, " e"]
-    down_in_cam: Float[Tensor, "e 3"]
-    sigma: Float[Tensor, " e"]
-
-
 def level_capture(
     capture: Capture,
     pairs: Sequence[PairMatches],
@@ -59,22 +50,21 @@ def level_capture(
     Raises UnknownVerticalError when no pair shows a vertical.
     """
     usable = sorted((pair for pair in pairs if len(pair) >= options.min_pair_inliers), key=len, reverse=True)
-    estimates, detail = _from_pairs(capture, best_pairs(usable), features, index_ratio, options, recorder)
-    if not len(estimates.image):
+    of, verticals, sigmas, detail = _from_pairs(capture, best_pairs(usable), features, index_ratio, options, recorder)
+    if not len(of):
         raise UnknownVerticalError(
             f"capture.json has no down_in_cam, and which way is down in the images cannot be seen: {detail}; "
             "measure down_in_cam of every image"
         )
     down, sigma = capture.down_in_cam.clone(), torch.full((len(capture),), torch.inf, dtype=torch.float64)
     scatter = torch.zeros(len(capture), dtype=torch.float64)
-    for image in estimates.image.unique().tolist():
-        rows = estimates.image == image
-        down[image], sigma[image], scatter[image] = mean_vertical(estimates.down_in_cam[rows], estimates.sigma[rows])
+    for image in of.unique().tolist():
+        down[image], sigma[image], scatter[image] = mean_vertical(verticals[of == image], sigmas[of == image])
     _carry_over(capture, usable, features, options, down, sigma)
     for image in sigma.isinf().nonzero()[:, 0].tolist():
         recorder.note(f"{capture.names[image]}: no pair relates it to the others, so that its vertical stays unknown")
     known = sigma.isfinite()
-    overall = torch.maximum(_rms(sigma[known]), _rms(scatter[estimates.image.unique()]))
+    overall = torch.maximum(_rms(sigma[known]), _rms(scatter[of.unique()]))
     return replace(capture, down_in_cam=down, down_sigma=max(float(overall), LEAST_DOWN_SIGMA), has_gravity=True)
 
 
@@ -96,20 +86,15 @@ def _from_pairs(
     index_ratio: float,
     options: SfmOptions,
     recorder: Recorder,
-) -> tuple[_Estimates, str]:
-    """Both verticals of every pair that determines them, and why the first one that does not fails."""
+) -> tuple[Int[Tensor, " e"], Float[Tensor, "e 3"], Float[Tensor, " e"], str]:
+    """Both verticals of every pair that determines them: of which image, down_in_cam, and how uncertain in radians; and
+    why the first pair that does not fails."""
     image, down, sigma = [], [torch.zeros(0, 3, dtype=torch.float64)], [torch.zeros(0, dtype=torch.float64)]
-    detail = ""
-    if not pairs:
-        detail = f"no pair of images has {options.min_pair_inliers} matches"
+    detail = "" if pairs else f"no pair of images has {options.min_pair_inliers} matches"
     for step, pair in enumerate(recorder.track(pairs, len(pairs), "levelling", "pair")):
-        found = find_verticals(
-            *_planes(capture, features, pair),
-            capture.intrinsics.focal,
-            index_ratio,
-            options.ransac.max_error,
-            options.min_pair_inliers,
-        )
+        limits = options.ransac.max_error, options.min_pair_inliers
+        planes = _planes(capture, features, pair)
+        found = find_verticals(*planes, capture.intrinsics.focal, index_ratio, *limits)
         recorder.scalar("levelling/inliers", int(found.inliers.sum()), step)
         if found.status == "success":
             image += [pair.first, pair.second]
@@ -117,7 +102,7 @@ def _from_pairs(
             sigma.append(found.sigma)
         elif not detail:
             detail = f"{capture.names[pair.first]} and {capture.names[pair.second]}: {found.detail}"
-    return _Estimates(torch.tensor(image, dtype=torch.long), torch.cat(down), torch.cat(sigma)), detail
+    return torch.tensor(image, dtype=torch.long), torch.cat(down), torch.cat(sigma), detail
 
 
 def mean_vertical(

@@ -34,9 +34,8 @@ def with_found_level(
     options, recorder = options or ReadjustOptions(), recorder or SilentRecorder()
     bundle = options.bundle
     short = replace(bundle, solver=replace(bundle.solver, max_iterations=min(ITERATIONS, bundle.solver.max_iterations)))
-    work = Work(scene, survey or Survey.empty(scene.views.names), replace(options, bundle=short))
-    offsets = candidate_offsets(scene).tolist()
-    tried = [replace(scene, interfaces=_at(scene, offset)) for offset in offsets]
+    work = Work(scene, survey or Survey.empty(scene.views.names), replace(options, bundle=short), None)
+    tried = [replace(scene, interfaces=replace(scene.interfaces, offset=at[None])) for at in candidate_offsets(scene)]
     costs, moved = [], []
     for candidate in recorder.track(tried, len(tried), "water level", "height"):
         start = work.start(candidate)
@@ -63,10 +62,6 @@ def candidate_offsets(scene: Scene) -> Float[Tensor, " k"]:
     above = top + (lowest - top) * points.new_tensor(ABOVE_POINTS)
     every = torch.cat((among, above)) if bool(top < lowest) else among
     return every[every < lowest].sort().values
-
-
-def _at(scene: Scene, offset: float):
-    return replace(scene.interfaces, offset=torch.tensor([offset], dtype=scene.interfaces.offset.dtype))
 
 
 def _cost(scene: Scene, scale: float) -> float:
