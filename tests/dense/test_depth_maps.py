@@ -7,7 +7,7 @@ import torch
 
 from tests.dense.planted_patches import patches_shown
 from tests.dense.rendered_scenes import Board, cameras_around, marble, render
-from torchrefrac.dense.depth_maps import depth_map
+from torchrefrac.dense.densify import depth_map
 from torchrefrac.dense.patches import Patches
 
 CELL = 3

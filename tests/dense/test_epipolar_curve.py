@@ -5,9 +5,8 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
-from torchrefrac.dense.matching.epipolar_curve import Candidates, find_candidates
+from torchrefrac.dense.matching.epipolar_curve import Candidates, evenly, find_candidates, sample
 from torchrefrac.dense.matching.interest_points import InterestPoints
-from torchrefrac.dense.matching.ray_curve import evenly, sample
 from torchrefrac.dense.rays import PixelRays
 
 

@@ -8,7 +8,7 @@ import torch
 
 from tests.dense.planted_patches import patches_at, patches_shown
 from tests.dense.rendered_scenes import Board, cameras_around, marble, render
-from torchrefrac.dense.filtering import supported, unobstructing, votes
+from torchrefrac.dense.fusion import supported, unobstructing, votes
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.rays import PixelRays
 

@@ -16,10 +16,8 @@ SCALE = 6
 
 
 def similarity_motions(scene: Scene, layout: Layout) -> tuple[Float[Tensor, "size 7"], Float[Tensor, "fixed 7"]]:
-    """How the seven infinitesimal similarities move the reduced unknowns, and what is fixed.
-
-    Shifts along x, y, z; turns about x, y, z through the origin; scale about it.
-    """
+    """How the seven infinitesimal similarities move the reduced unknowns, and what is fixed. Shifts along x, y, z;
+    turns about x, y, z through the origin; scale about it."""
     rotation, center, interfaces = scene.views.rotation, scene.views.center, scene.interfaces
     normal, offset = interfaces.normal, interfaces.offset
     axes = torch.eye(3, dtype=center.dtype, device=center.device)

@@ -112,10 +112,8 @@ def pyramid(image: Float[Tensor, "h w"], levels: int) -> list[Float[Tensor, "_ _
 
 
 def _shelves(sizes: Sequence[tuple[int, int]]) -> tuple[list[tuple[int, int]], int, int]:
-    """Corners (x, y) of rectangles (h, w) with their margins, put side by side on shelves, the tallest first.
-
-    Also height and width of the whole, which is about square.
-    """
+    """Corners (x, y) of rectangles (h, w) with their margins, put side by side on shelves, the tallest first. Also
+    height and width of the whole, which is about square."""
     padded = [(h + 2 * MARGIN, w + 2 * MARGIN) for h, w in sizes]
     width = max(int(sum(h * w for h, w in padded) ** 0.5), *(w for _, w in padded), 1)
     places: list[tuple[int, int]] = [(0, 0)] * len(padded)

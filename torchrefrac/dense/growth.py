@@ -62,10 +62,8 @@ class Cells:
         return self._reported - before
 
     def frontier(self) -> tuple[Int[Tensor, " k"], Int[Tensor, " k"]]:
-        """Empty cells near filled ones, and of these the one whose plane is to be tried: the best of the next.
-
-        Only where it is better or nearer than what was tried before.
-        """
+        """Empty cells near filled ones, and of these the one whose plane is to be tried: the best of the next. Only
+        where it is better or nearer than what was tried before."""
         score = self.score.view(1, 1, self.rows, self.columns)
         best, source = torch.full_like(self.score, UNTRIED), torch.zeros_like(self.tries)
         for ring in range(RINGS):

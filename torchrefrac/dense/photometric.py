@@ -58,24 +58,16 @@ class Comparison(NamedTuple):
 
     def subset(self, rows: Int[Tensor, " k"]) -> "Comparison":
         """Some of the patches."""
-        return self._replace(
-            cameras=self.cameras[rows],
-            rays=self.rays[rows],
-            reference=self.reference[rows],
-            image=self.image[rows],
-            level=self.level[rows],
-            present=self.present[rows],
-        )
+        of_patches = ("cameras", "rays", "reference", "image", "level", "present")
+        return self._replace(**{name: getattr(self, name)[rows] for name in of_patches})
 
     def corners(self, states: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
         """The three corners of each patch in the world."""
         return self.rays.at(states @ self.window.basis.to(states).T)
 
     def at_matching_levels(self, states: Float[Tensor, "n 3"], min_scale: float) -> "Comparison":
-        """With the copies of the other images that show the patches about as large as the reference does.
-
-        An image that shows one at less than `min_scale` of the reference's size is no longer present.
-        """
+        """With the copies of the other images that show the patches about as large as the reference does. An image that
+        shows one at less than `min_scale` of the reference's size is no longer present."""
         pixels, _, _ = self._project(states)
         scale = (_area(pixels).abs() / _area(self.window.corners).to(pixels)).sqrt()
         level = torch.log2(scale.clamp(min=1.0)).round().long().clamp(max=self.atlas.levels - 1)
@@ -143,10 +135,8 @@ class Comparison(NamedTuple):
 def unit_windows(
     atlas: Atlas, image: Int[Tensor, " n"], level: Int[Tensor, " n"], pixels: Float[Tensor, "n 2"], window: Window
 ) -> tuple[Float[Tensor, "n samples"], Float[Tensor, " n"]]:
-    """Unit vectors f^ of the windows around pixels, and their standard deviations in grey levels.
-
-    Zero where a window does not lie inside its image, in the copy `level`.
-    """
+    """Unit vectors f^ of the windows around pixels, and their standard deviations in grey levels. Zero where a window
+    does not lie inside its image, in the copy `level`."""
     at = pixels[:, None] + window.offsets.to(pixels)
     values = atlas.sample(image, level, at.to(atlas.sheet))
     values = values - values.mean(dim=-1, keepdim=True)

@@ -45,10 +45,8 @@ class PixelRays(NamedTuple):
         return torch.where((distance < 0)[..., None], self.before, self.after)
 
     def meet(self, point: Float[Tensor, "*#plane 3"], normal: Float[Tensor, "*#plane 3"]) -> Float[Tensor, "*batch"]:
-        """Distances at which the rays meet the plane through `point` with `normal`.
-
-        A ray that meets it on the camera's side is met there. Infinite or far where a ray runs along the plane.
-        """
+        """Distances at which the rays meet the plane through `point` with `normal`. A ray that meets it on the camera's
+        side is met there. Infinite or far where a ray runs along the plane."""
         beyond = ((point - self.origin) * normal).sum(dim=-1) / (self.after * normal).sum(dim=-1)
         here = ((point - self.entry) * normal).sum(dim=-1) / (self.before * normal).sum(dim=-1)
         return torch.where(here < 0, here, beyond)

@@ -23,10 +23,8 @@ MIN_SCALE = 0.4  # of an image against the reference: one that shows the surface
 def refine(
     scope: Scope, pixels: Float[Tensor, "n 2"], planes: Planes, options: DenseOptions
 ) -> tuple[Patches, Int[Tensor, " k"]]:
-    """Adjust patches centred at reference pixels from `planes` (n), in batches.
-
-    Returns those that are to be believed and which of the n they are. Guesses may be off by a pixel or two.
-    """
+    """Adjust patches centred at reference pixels from `planes` (n), in batches. Returns those that are to be believed
+    and which of the n they are. Guesses may be off by a pixel or two."""
 
     def adjusted(rows: slice) -> tuple[Patches, Int[Tensor, " b"]]:
         subjects, chosen = _choose(scope, pixels[rows], planes[rows], options)
@@ -45,10 +43,8 @@ def refine(
 def choose_views(
     scope: Scope, points: Float[Tensor, "n 3"], options: DenseOptions
 ) -> tuple[Int[Tensor, "n v"], Bool[Tensor, "n v"]]:
-    """For points, the local images to compare with, best first, and which of these will do.
-
-    One that sees the point within its image, at an angle near the best.
-    """
+    """For points, the local images to compare with, best first, and which of these will do. One that sees the point
+    within its image, at an angle near the best."""
     cameras = scope.cameras
     local = torch.arange(1, 1 + scope.others, device=scope.device)
     pixels, seen = cameras[1:, None].project(points)

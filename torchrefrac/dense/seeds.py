@@ -65,9 +65,7 @@ def sparse_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Patches:
 
 def matched_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Patches:
     """Patches at interest points of the reference in empty cells, matched along their epipolar curves (PMVS's seeds).
-
-    Of an interest point's candidates in the best other images, the one on which most images agree best is refined.
-    """
+    Of an interest point's candidates in the best other images, the one on which most images agree best is refined."""
     ours = _interest_points(scope, 0)
     at, inside = cells.index(ours.pixels)
     rows = (inside & ~cells.filled[at]).nonzero()[:, 0]

@@ -10,16 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchrefrac.minimal.rays import (
-    Number,
-    Rays,
-    apparent_z,
-    cross2,
-    require_index,
-    require_sights,
-    require_weights,
-    slopes,
-)
+from torchrefrac.minimal.rays import Number, Rays, apparent_z, cross2, require_rays, slopes
 from torchrefrac.numerics import determines, least_squares_on_circle, like
 
 TwoPoses = tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch 2 3"], Bool[Tensor, "*batch 2"]]
@@ -33,8 +24,7 @@ def absolute_pose_2pt(
     Returns heading in radians, center and valid: up to two solutions of alpha C + beta S + gamma = 0 with
     C^2 + S^2 = 1. Valid means: real, finite, camera above the water.
     """
-    require_sights(rays, points, "the 2-point solver", 2)
-    require_index(index_ratio)
+    require_rays("the 2-point solver", 2, index_ratio, rays=rays, points=points)
     return unchecked_absolute_pose_2pt(rays, points, index_ratio)
 
 
@@ -74,9 +64,7 @@ def absolute_pose_lsqi(
     weights: zero for a point that does not count. The translation leaves by QR; what remains is a linear least-squares
     problem on the unit circle (LSQI). Returns heading, center, valid: both are determined, the camera above the water.
     """
-    require_sights(rays, points, "least squares", 3, or_more=True)
-    require_index(index_ratio)
-    require_weights(weights, rays)
+    require_rays("least squares", 3, index_ratio, weights, or_more=True, rays=rays, points=points)
     m, x, y, const = _terms(rays, points, index_ratio)
     unit = torch.eye(2, dtype=m.dtype, device=m.device).expand(*m.shape, 2)
     system = torch.cat((unit, -m[..., None], x[..., None], y[..., None], const[..., None]), dim=-1)

@@ -21,7 +21,7 @@ from torch.nn.functional import pad
 
 from torchrefrac.checks import require
 from torchrefrac.geometry.triples import Triple
-from torchrefrac.minimal.rays import Number, bent, cross2, look_down, meet_below, require_index, require_pairs
+from torchrefrac.minimal.rays import Number, bent, cross2, look_down, meet_below, require_rays
 from torchrefrac.numerics import adjugate_4x4, determinant_4x4, fourier_coefficients, like, roots_on_circle
 
 NEWTON_STEPS = 2
@@ -42,8 +42,7 @@ def relative_pose_4pt(
     height is that of the first camera and sets the scale. Returns heading in radians, center and valid, at most six of
     them: a real and isolated root, the second camera above the water, all rays going down and all four points below it.
     """
-    require_pairs(rays1, rays2, "the 4-point solver", 4)
-    require_index(index_ratio)
+    require_rays("the 4-point solver", 4, index_ratio, rays1=rays1, rays2=rays2)
     require(height, "height", above=0.0)
     return unchecked_relative_pose_4pt(rays1, rays2, index_ratio, height)
 

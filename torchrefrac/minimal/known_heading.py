@@ -13,20 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.checks import require, require_broadcasting
-from torchrefrac.minimal.rays import (
-    Number,
-    Rays,
-    apparent_z,
-    bent,
-    cross2,
-    look_down,
-    meet_below,
-    require_index,
-    require_pairs,
-    require_sights,
-    require_weights,
-    slopes,
-)
+from torchrefrac.minimal.rays import Number, Rays, apparent_z, bent, cross2, look_down, meet_below, require_rays, slopes
 from torchrefrac.numerics import like
 from torchrefrac.numerics.small import ROUNDING
 
@@ -45,10 +32,9 @@ def relative_pose_3pt(
     The first camera stands at (0, 0, height). Returns center and valid: the centre is determined and
     above the water, all rays go down and all three points lie below the surface.
     """
-    require_pairs(rays1, rays2, "the 3-point solver", 3)
+    require_rays("the 3-point solver", 3, index_ratio, rays1=rays1, rays2=rays2)
     require_broadcasting(heading=like(heading, rays1).shape, rays=rays1.shape[:-2])
     require(heading, "heading")
-    require_index(index_ratio)
     require(height, "height", above=0.0)
     return unchecked_relative_pose_3pt(rays1, rays2, heading, index_ratio, height)
 
@@ -84,11 +70,9 @@ def absolute_pose_known_heading(
     Points may lie in the water and on land. weights: zero for a point that does not count. Returns center and valid:
     the centre is determined and above the water. Which end of its ray a point lies on is not asked.
     """
-    require_sights(rays, points, "the solver", 2, or_more=True)
+    require_rays("the solver", 2, index_ratio, weights, or_more=True, rays=rays, points=points)
     require_broadcasting(heading=like(heading, rays).shape, rays=rays.shape[:-2])
     require(heading, "heading")
-    require_index(index_ratio)
-    require_weights(weights, rays)
     return unchecked_absolute_pose_known_heading(rays, points, heading, index_ratio, weights)
 
 

@@ -69,16 +69,6 @@ def cross2(a: Float[Tensor, "*batch 2"], b: Float[Tensor, "*batch 2"]) -> Float[
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def require_pairs(rays1: Rays, rays2: Rays, solver: str, count: int, *, or_more: bool = False) -> None:
-    """Refuse anything but two batches (*B, count, 3) of finite rays, or of more of them."""
-    _require(solver, count, or_more, rays1=rays1, rays2=rays2)
-
-
-def require_sights(rays: Rays, points: Rays, solver: str, count: int, *, or_more: bool = False) -> None:
-    """Refuse anything but batches (*B, count, 3) of finite rays and points, or of more of them."""
-    _require(solver, count, or_more, rays=rays, points=points)
-
-
 def require_matches(plane: Float[Tensor, "n 2"], **others: Shaped[Tensor, "n columns"]) -> None:
     """Refuse image coordinates that are not pairs, and what does not belong to as many matches."""
     if plane.dim() != 2 or plane.shape[-1] != 2:
@@ -88,20 +78,17 @@ def require_matches(plane: Float[Tensor, "n 2"], **others: Shaped[Tensor, "n col
             raise ValueError(f"{name} has {len(value)} rows, but there are {len(plane)} image coordinates")
 
 
-def require_index(index_ratio: Float[Tensor, "*batch"] | float) -> None:
-    require(index_ratio, "index_ratio", at_least=1.0)
-
-
-def require_weights(weights: Float[Tensor, "*batch n"] | None, rays: Rays) -> None:
-    """Refuse weights that are not one a ray, finite and at least zero."""
-    if weights is None:
-        return
-    if weights.shape != rays.shape[:-1]:
-        raise ValueError(f"weights has shape {tuple(weights.shape)}, but must be {tuple(rays.shape[:-1])}, one a ray")
-    require(weights, "weights", at_least=0.0)
-
-
-def _require(solver: str, count: int, or_more: bool, **batches: Rays) -> None:
+def require_rays(
+    solver: str,
+    count: int,
+    index_ratio: Number,
+    weights: Float[Tensor, "*batch n"] | None = None,
+    *,
+    or_more: bool = False,
+    **batches: Rays,
+) -> None:
+    """Refuse anything but two batches (*B, count, 3) of finite rays or points, or of more of them, an index ratio of at
+    least 1 and weights, one a ray, finite and at least zero."""
     (name, first), (other, second) = batches.items()
     if first.shape != second.shape or first.dim() < 2 or first.shape[-1] != 3:
         wanted = f"(*B, {'n' if or_more else count}, 3)"
@@ -113,3 +100,9 @@ def _require(solver: str, count: int, or_more: bool, **batches: Rays) -> None:
     for label, batch in batches.items():
         require_floating(batch, label)
         require(batch, label)
+    require(index_ratio, "index_ratio", at_least=1.0)
+    if weights is not None:
+        if weights.shape != first.shape[:-1]:
+            wanted = tuple(first.shape[:-1])
+            raise ValueError(f"weights has shape {tuple(weights.shape)}, but must be {wanted}, one a ray")
+        require(weights, "weights", at_least=0.0)

@@ -15,18 +15,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.checks import require
-from torchrefrac.minimal.rays import (
-    Number,
-    Rays,
-    Slopes,
-    bent,
-    cross2,
-    look_down,
-    meet_below,
-    require_index,
-    require_pairs,
-    require_weights,
-)
+from torchrefrac.minimal.rays import Number, Rays, Slopes, bent, cross2, look_down, meet_below, require_rays
 from torchrefrac.numerics import determines, like, smallest_eigenvector_2x2
 
 Poses = tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch 2 3"], Bool[Tensor, "*batch 2"]]
@@ -39,8 +28,7 @@ def relative_pose_7pt(
 
     Seven pairs are solved exactly, so that valid means besides: all rays go down, all seven points lie below the water.
     """
-    require_pairs(rays1, rays2, "the 7-point solver", 7)
-    require_index(index_ratio)
+    require_rays("the 7-point solver", 7, index_ratio, rays1=rays1, rays2=rays2)
     require(height, "height", above=0.0)
     first, second = bent(rays1, index_ratio), bent(rays2, index_ratio)
     heading, center, valid = _solve(pose_rows(first, second))
@@ -65,10 +53,8 @@ def relative_pose_npt(
     determined, second camera above the water. With noise some rays of a right pose meet above the surface or nowhere,
     so that no pair is asked where it meets.
     """
-    require_pairs(rays1, rays2, "the linear solver", 7, or_more=True)
-    require_index(index_ratio)
+    require_rays("the linear solver", 7, index_ratio, weights, or_more=True, rays1=rays1, rays2=rays2)
     require(height, "height", above=0.0)
-    require_weights(weights, rays1)
     rows = pose_rows(bent(rays1, index_ratio), bent(rays2, index_ratio))
     heading, center, valid = _solve(rows if weights is None else rows * weights[..., None])
     return heading, _scaled(center, valid, like(height, rays1)), valid

@@ -42,10 +42,8 @@ def segment_sum(
 def segment_sum_columns(
     values: Shaped[Tensor, "k n"], segment: Int[Tensor, " n"], num_segments: int
 ) -> Shaped[Tensor, "k {num_segments}"]:
-    """Sum the columns of `values` that carry the same id in `segment`.
-
-    Where k is small this is much faster on a CPU than sums of rows of the transpose.
-    """
+    """Sum the columns of `values` that carry the same id in `segment`. Where k is small this is much faster on a CPU
+    than sums of rows of the transpose."""
     return values.new_zeros(len(values), num_segments).index_add_(1, segment, values)
 
 

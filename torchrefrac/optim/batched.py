@@ -123,10 +123,8 @@ def _together(parts: list[tuple[Int[Tensor, " some"], SmallReport]]) -> SmallRep
 
 
 def solve_damped(quadratic: Quadratic, damping: Float[Tensor, " k"]) -> Float[Tensor, "k d"]:
-    """Steps of (H + damping diag(H)) step = -gradient, in units in which H has a unit diagonal.
-
-    Zero where the system is not positive definite.
-    """
+    """Steps of (H + damping diag(H)) step = -gradient, in units in which H has a unit diagonal. Zero where the system
+    is not positive definite."""
     scaled, scale = _with_unit_diagonal(quadratic.hessian)
     scaled = scaled + torch.diag_embed(damping[:, None].expand_as(scale))
     factor, info = torch.linalg.cholesky_ex(scaled)

@@ -26,10 +26,8 @@ ROUNDING = 0.1  # of a zero eigenvalue, in units of the size of the matrix and t
 
 
 def solve_dense(elimination: Elimination) -> tuple[Float[Tensor, " size"], Bool[Tensor, ""]]:
-    """Step of the damped reduced system, and whether there is one; zero where there is not.
-
-    Unknowns that nothing depends on stand still.
-    """
+    """Step of the damped reduced system, and whether there is one; zero where there is not. Unknowns that nothing
+    depends on stand still."""
     system = elimination.system
     matrix, negative = elimination.reduced()
     matrix.diagonal().add_(elimination.damping * system.diagonal)

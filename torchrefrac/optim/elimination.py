@@ -67,11 +67,8 @@ class Elimination:
             here = buffer[: len(chunk.reduced) * TILE * ELIMINATED_SIZE * across].zero_()
             step = across * torch.arange(ELIMINATED_SIZE, device=z.device)
             here.index_copy_(0, (chunk.slot[:, None] + step).flatten(), z)
-            yield Tiles(
-                chunk,
-                here.view(-1, ELIMINATED_SIZE * TILE, across * REDUCED_SIZE),
-                self._shared_part(chunk, slim, rows),
-            )
+            by_block = here.view(-1, ELIMINATED_SIZE * TILE, across * REDUCED_SIZE)
+            yield Tiles(chunk, by_block, self._shared_part(chunk, slim, rows))
 
     def reduced(self) -> tuple[Float[Tensor, "size size"], Float[Tensor, " size"]]:
         """The reduced system, undamped in the reduced unknowns: the lower triangle of its matrix, and -rhs."""
@@ -171,10 +168,8 @@ def _outer(slim: Slim, rows: Float[Tensor, "residuals size k"]) -> Float[Tensor,
 def _add_products(
     by_pair: Float[Tensor, "pairs 36"], z: Float[Tensor, "tiles rows own"], reduced: Int[Tensor, "tiles width"]
 ) -> None:
-    """Add the 6x6 blocks of Z^T Z to those of pairs of reduced blocks: none is left out in the lower triangle.
-
-    Their ids ascend along a tile, so that a strip of rows needs only the columns up to its own.
-    """
+    """Add the 6x6 blocks of Z^T Z to those of pairs of reduced blocks: none is left out in the lower triangle. Their
+    ids ascend along a tile, so that a strip of rows needs only the columns up to its own."""
     m, across = int(by_pair.shape[0] ** 0.5), reduced.shape[1]
     bounds = sorted({0, across // 2, across})
     for first, end in pairwise(bounds):

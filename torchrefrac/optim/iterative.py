@@ -112,10 +112,8 @@ def _block_diagonal(elimination: Elimination, lift: Vector) -> Float[Tensor, "bl
         blocks.index_add_(0, chunk.reduced.flatten(), by_block.mT @ by_block, alpha=-1.0)
     own = blocks[:m]
     for columns, hessian, _ in system.blocks:
-        across = (columns[:, :, None] // REDUCED_SIZE == columns[:, None, :] // REDUCED_SIZE) & (
-            columns[:, :, None] < first
-        )
-        k, i, j = across.nonzero().T
+        of = columns // REDUCED_SIZE
+        k, i, j = ((of[:, :, None] == of[:, None, :]) & (columns[:, :, None] < first)).nonzero().T
         row, column = columns[k, i], columns[k, j]
         own.view(-1).index_add_(0, row * REDUCED_SIZE + column % REDUCED_SIZE, hessian[k, i, j])
     return own + torch.diag_embed(lift[:first].view(m, REDUCED_SIZE))

@@ -23,30 +23,25 @@ def explain_relative(views: TwoViews, model: Float[Tensor, " 8"]) -> str:
     everything = torch.ones(1, len(views), dtype=torch.bool, device=model.device)
     hessian = views.linearize(model[None], math.inf, everything).hessian[0]
     _, centers = views.poses(model[None])
-    baseline = centers[0, 1] - centers[0, 0]
-    uncertainty = _sigma(hessian, views.pixel_sigma, 3) / float(baseline.norm())
-    if uncertainty <= MAX_UNCERTAINTY:
-        return ""
-    much = "by any amount" if math.isinf(uncertainty) else f"to {100.0 * uncertainty:.0f} % of the baseline"
-    return f"the position of the second camera is uncertain {much}: {_reason(views, model, centers[0])}"
+    much = _uncertainty(hessian, views.pixel_sigma, float((centers[0, 1] - centers[0, 0]).norm()), "the baseline")
+    return much and f"the position of the second camera is uncertain {much}: {_reason(views, model, centers[0])}"
 
 
 def explain_absolute(view: OneView, model: Float[Tensor, " 6"]) -> str:
     """Why inlier points do not determine the pose `model`; empty if they do."""
     hessian = view.linearize(model[None], math.inf).hessian[0]
-    uncertainty = _sigma(hessian, view.pixel_sigma, 3) / float(model[5])
-    if uncertainty <= MAX_UNCERTAINTY:
-        return ""
-    much = "by any amount" if math.isinf(uncertainty) else f"to {100.0 * uncertainty:.0f} % of the camera's height"
-    return f"the position of the camera is uncertain {much}: the points lie too close together or on one vertical line"
+    much = _uncertainty(hessian, view.pixel_sigma, float(model[5]), "the camera's height")
+    why = "the points lie too close together or on one vertical line"
+    return much and f"the position of the camera is uncertain {much}: {why}"
 
 
-def _sigma(hessian: Float[Tensor, "d d"], pixel_sigma: float, last: int) -> float:
-    """Root of the summed variances of the last unknowns; infinite where the information is singular."""
+def _uncertainty(hessian: Float[Tensor, "d d"], pixel_sigma: float, length: float, of: str) -> str:
+    """How uncertain the last three unknowns, a position, are where that is too much against a length; else empty."""
     covariance, exists = covariance_of(hessian[None])
-    if not bool(exists):
-        return math.inf
-    return pixel_sigma * math.sqrt(float(covariance[0].diagonal()[-last:].sum()))
+    sigma = pixel_sigma * math.sqrt(float(covariance[0].diagonal()[-3:].sum())) if bool(exists) else math.inf
+    if (uncertainty := sigma / length) <= MAX_UNCERTAINTY:
+        return ""
+    return "by any amount" if math.isinf(uncertainty) else f"to {100.0 * uncertainty:.0f} % of {of}"
 
 
 def _reason(views: TwoViews, model: Float[Tensor, " 8"], centers: Float[Tensor, "2 3"]) -> str:

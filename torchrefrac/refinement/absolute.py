@@ -16,8 +16,7 @@ from torchrefrac.geometry import triples
 from torchrefrac.geometry.triples import Part, Triple
 from torchrefrac.minimal.rays import require_matches
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
-from torchrefrac.refinement.priors import prior_costs, with_priors
-from torchrefrac.refinement.tilt import tilted_rotation, turn_by_tilt
+from torchrefrac.refinement.tilt import Cost, prior_costs, tilted_rotation, turn_by_tilt, with_priors
 from torchrefrac.refraction import apparent_height, apparent_height_partials, screening_height
 
 TILT, HEADING, CENTER, UNKNOWNS = slice(0, 2), 2, slice(3, 6), 6
@@ -83,7 +82,7 @@ class OneView:
 
     def refine(self, models: Models, max_error: float, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
         """Minimise the truncated cost from models; points beyond max_error do not count."""
-        return minimize_each(_Truncated(self, max_error), models, max_iterations, tolerance)
+        return minimize_each(Cost(lambda states: self.linearize(states, max_error)), models, max_iterations, tolerance)
 
     def linearize(self, models: Models, max_error: float) -> Quadratic:
         """The cost in squared pixels, half a sum, and its quadratic model in the six unknowns."""
@@ -158,12 +157,3 @@ def _of_pose(g: Triple, offset: Triple, by_height: Part, by_square: Part) -> tup
     bend = 2.0 * by_square * g[2]
     center = (torch.addcmul(-g[0], bend, ux), torch.addcmul(-g[1], bend, uy), -g[2] * by_height)
     return *triples.cross((ux, uy, -lifted), g), *center
-
-
-@dataclass(frozen=True)
-class _Truncated:
-    view: OneView
-    max_error: float
-
-    def linearize(self, states: Models) -> Quadratic:
-        return self.view.linearize(states, self.max_error)

@@ -108,17 +108,6 @@ def rays_in_water(
     return torch.nn.functional.pad(origins, (0, 1)), directions
 
 
-def _between(one: Pair, two: Pair) -> Pair:
-    return one[0] - two[0], one[1] - two[1]
-
-
-def _depth(gap: Pair, spread: Pair) -> Part:
-    """Depth at which lines that enter the water `gap` apart and whose slopes differ by `spread` are nearest."""
-    (gx, gy), (wx, wy) = gap, spread
-    square = torch.addcmul(wx * wx, wy, wy).clamp(min=torch.finfo(wx.dtype).tiny)
-    return torch.addcmul(gx * wx, gy, wy) / square
-
-
 class _Constraint(NamedTuple):
     """f, where the rays meet, whether they go down; the derivatives of f in both rays v, in both pixels and in q_1, and
     the sum of squares of those in pixels."""
@@ -136,7 +125,7 @@ class _Constraint(NamedTuple):
 def _constrain(first: Views, second: Views, focal: Pair, index_ratio: Float[Tensor, ""]) -> _Constraint:
     excess = (index_ratio - 1.0) * (index_ratio + 1.0)
     one, two = (_ray(view, index_ratio, excess) for view in (first, second))
-    (gx, gy), (wx, wy) = gap, spread = _between(one.q, two.q), _between(one.w, two.w)
+    (gx, gy), (wx, wy) = ((a[0] - b[0], a[1] - b[1]) for a, b in ((one.q, two.q), (one.w, two.w)))
     by_q, by_w = (wy, -wx), (-gy, gx)
     b1 = _by_ray(first, one, 1.0, by_q, by_w, excess)
     b2 = _by_ray(second, two, -1.0, by_q, by_w, excess)
@@ -144,11 +133,12 @@ def _constrain(first: Views, second: Views, focal: Pair, index_ratio: Float[Tens
         (triples.dot(view.rotation[0], b) / focal[0], triples.dot(view.rotation[1], b) / focal[1])
         for view, b in ((first, b1), (second, b2))
     )
+    apart = torch.addcmul(wx * wx, wy, wy).clamp(min=torch.finfo(wx.dtype).tiny)  # of slopes, squared
     (ux, uy), (vx, vy) = by_pixel
     square = torch.addcmul(torch.addcmul(torch.addcmul(ux * ux, uy, uy), vx, vx), vy, vy)
     return _Constraint(
         value=torch.addcmul(gx * wy, gy, wx, value=-1.0),
-        depth=_depth(gap, spread),
+        depth=torch.addcmul(gx * wx, gy, wy) / apart,
         down=(one.inverse_z < 0.0) & (two.inverse_z < 0.0),
         rays=(one, two),
         by_v=(b1, b2),

@@ -23,8 +23,7 @@ from torchrefrac.minimal import triangulate
 from torchrefrac.minimal.rays import require_matches
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
 from torchrefrac.refinement.epipolar import EpipolarError, Pair, Views, epipolar_error, epipolar_jacobian, rays_in_water
-from torchrefrac.refinement.priors import prior_costs, with_priors
-from torchrefrac.refinement.tilt import tilted_rotation, turn_by_tilt
+from torchrefrac.refinement.tilt import Cost, prior_costs, tilted_rotation, turn_by_tilt, with_priors
 
 HEADING, CENTER, UNKNOWNS = 4, slice(5, 8), 8
 TENSORS = ("plane1", "plane2", "cam_from_level", "focal", "index_ratio")
@@ -79,10 +78,8 @@ class TwoViews:
         return triangulate(*(torch.stack(torch.broadcast_tensors(*pair), dim=-2) for pair in rays))[0]
 
     def costs(self, models: Models, max_error: float) -> Float[Tensor, " h"]:
-        """Truncated sums of squared errors in pixels, and the prior on the tilts.
-
-        Matches whose rays do not meet below the water, or not at the depth of the bulk, count as outliers.
-        """
+        """Truncated sums of squared errors in pixels, and the prior on the tilts. Matches whose rays do not meet below
+        the water, or not at the depth of the bulk, count as outliers."""
         errors = self.errors(models)
         limit = max_error * max_error
         inside = errors.possible & _bulk(errors, max_error)
@@ -112,8 +109,9 @@ class TwoViews:
 
     def refine(self, models: Models, max_error: float, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
         """Minimise the truncated cost from models; matches beyond max_error do not count."""
-        problem = _Truncated(self, max_error, _bulk(self.errors(models), max_error))
-        return minimize_each(problem, models, max_iterations, tolerance)
+        active = _bulk(self.errors(models), max_error)
+        cost = Cost(lambda states: self.linearize(states, max_error, active))
+        return minimize_each(cost, models, max_iterations, tolerance)
 
     def linearize(self, models: Models, max_error: float, active: Bool[Tensor, "h n"]) -> Quadratic:
         """The cost in squared pixels, half a sum, and its quadratic model in the eight unknowns."""
@@ -165,13 +163,3 @@ def _bulk(errors: EpipolarError, max_error: float) -> Bool[Tensor, "h n"]:
     low, high = torch.nanquantile(near, near.new_tensor((0.1, 0.9)), dim=-1, keepdim=True)
     span = high - low
     return (errors.depth >= low - span) & (errors.depth <= high + span)
-
-
-@dataclass(frozen=True)
-class _Truncated:
-    views: TwoViews
-    max_error: float
-    active: Bool[Tensor, "h n"]
-
-    def linearize(self, states: Models) -> Quadratic:
-        return self.views.linearize(states, self.max_error, self.active)

@@ -2,13 +2,29 @@
 
 t = (t_x, t_y, 0) is the error of the measured vertical, a turn about a horizontal axis, in radians. A prior on gravity
 is one on the length of t, and t = 0 is what the solvers with known vertical find.
+
+Models of poses are rows (tilts, heading, centre) with two tilts a camera, the centre being that of the last camera.
 """
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.geometry import heading_rotation
+from torchrefrac.optim import Quadratic
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Poses as `SmallProblems`, of which all that is known is their quadratic models."""
+
+    model: Callable[[Float[Tensor, "k d"]], Quadratic]
+
+    def linearize(self, states: Float[Tensor, "k d"]) -> Quadratic:
+        return self.model(states)
 
 
 def tilted_rotation(
@@ -62,3 +78,40 @@ def _coefficients(x: Float[Tensor, "*batch"], y: Float[Tensor, "*batch"]) -> tup
     angle_sq = torch.addcmul(x * x, y, y)
     turns = (angle_sq + torch.finfo(x.dtype).tiny).sqrt() / torch.pi  # never at the corner of the root
     return angle_sq, torch.sinc(turns), 0.5 * torch.sinc(0.5 * turns).square()
+
+
+def with_priors(
+    models: Float[Tensor, "k d"], quadratic: Quadratic, gravity_sigma: float, pixel_sigma: float, known_heading: bool
+) -> Quadratic:
+    """The cost of models in squared pixels with gravity as a prior on the tilts.
+
+    gravity_sigma 0 fixes the tilts, known_heading the heading: their part of the quadratic model becomes the identity.
+    A camera below the water costs infinitely much.
+    """
+    cost, gradient, hessian = quadratic
+    tilts = models.shape[-1] - 4
+    weight = _weights(models, gravity_sigma, pixel_sigma)
+    if weight is not None:
+        gradient, hessian = gradient + weight * models, hessian + torch.diag(weight)
+    if known_heading or gravity_sigma == 0.0:
+        free = torch.ones_like(models[0])
+        free[:tilts] = float(gravity_sigma > 0.0)
+        free[tilts] = float(not known_heading)
+        gradient, hessian = gradient * free, hessian * free[:, None] * free + torch.diag(1.0 - free)
+    return Quadratic(cost + prior_costs(models, gravity_sigma, pixel_sigma), gradient, hessian)
+
+
+def prior_costs(models: Float[Tensor, "k d"], gravity_sigma: float, pixel_sigma: float) -> Float[Tensor, " k"]:
+    """What the priors add to the costs of models, in squared pixels, half a sum."""
+    weight = _weights(models, gravity_sigma, pixel_sigma)
+    tilted = 0.0 if weight is None else 0.5 * (weight * models.square()).sum(dim=-1)
+    return torch.where(models[:, -1] > 0.0, tilted, torch.inf)
+
+
+def _weights(models: Float[Tensor, "k d"], gravity_sigma: float, pixel_sigma: float) -> Float[Tensor, " d"] | None:
+    """Of the squares of the unknowns: those of the tilts. None where gravity is exact or unknown."""
+    if not 0.0 < gravity_sigma < float("inf"):
+        return None
+    weight = torch.zeros_like(models[0])
+    weight[: models.shape[-1] - 4] = (pixel_sigma / gravity_sigma) ** 2
+    return weight

@@ -1,15 +1,13 @@
 """The data model: what goes in, what is known about it, and what comes out; no file format, no algorithm."""
 
-from torchrefrac.scene.cameras import Cameras
 from torchrefrac.scene.capture import Capture, CaptureError
 from torchrefrac.scene.dense import DenseCloud, DepthMap
 from torchrefrac.scene.interfaces import Interfaces
-from torchrefrac.scene.observations import Observations
 from torchrefrac.scene.raster import Raster
 from torchrefrac.scene.scene import Assessment, Part, Scene, SceneError, mean_deviation, reprojection_errors
 from torchrefrac.scene.survey import Survey, SurveyError
+from torchrefrac.scene.tables import Cameras, Observations, Views
 from torchrefrac.scene.truth import Truth, TruthPoints
-from torchrefrac.scene.views import Views
 
 __all__ = [
     "Assessment", "Cameras", "Capture", "CaptureError", "DenseCloud", "DepthMap", "Interfaces", "Observations", "Part",

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.checks import TorchrefracError
-from torchrefrac.scene.cameras import Cameras
 from torchrefrac.scene.interfaces import Interfaces
+from torchrefrac.scene.tables import Cameras
 
 
 class CaptureError(TorchrefracError, ValueError):

@@ -65,13 +65,9 @@ class Interfaces:
         for all."""
         if self.is_air:
             return FlatInterface(1.0)
-        if len(self) == 1:
-            return FlatInterface(
-                self.index_ratio[0], plane=Plane() if self.is_level else self.planes.indexed(0, (1,)), check=False
-            )
-        return FlatInterface(
-            self.index_ratio[interface], plane=self.planes.indexed(interface, (len(self),)), check=False
-        )
+        rows = 0 if len(self) == 1 else interface
+        plane = Plane() if len(self) == 1 and self.is_level else self.planes.indexed(rows, (len(self),))
+        return FlatInterface(self.index_ratio[rows], plane=plane, check=False)
 
     def refract(self) -> bool:
         """Whether any of them bends a ray."""

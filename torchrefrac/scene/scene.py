@@ -11,11 +11,9 @@ from torch import Tensor
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.geometry import Rigid
-from torchrefrac.scene.cameras import Cameras
 from torchrefrac.scene.capture import Capture
 from torchrefrac.scene.interfaces import Interfaces
-from torchrefrac.scene.observations import Observations
-from torchrefrac.scene.views import Views
+from torchrefrac.scene.tables import Cameras, Observations, Views
 
 
 class SceneError(TorchrefracError, ValueError):

@@ -89,10 +89,8 @@ def assess_scene(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Assessmen
 
 
 def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str], num_points: int | None = None) -> Assessment:
-    """At the minimum `scene`; fixed: what was not refined, and why; num_points: leave out the points after these.
-
-    Where the data do not determine even the cameras nothing is said but what was fixed.
-    """
+    """At the minimum `scene`; fixed: what was not refined, and why; num_points: leave out the points after these. Where
+    the data do not determine even the cameras nothing is said but what was fixed."""
     try:
         known = uncertainty(problem, scene)
         found = determinations(problem, scene, known.pixel_sigma) if scene.index_ratio > 1.0 else []

@@ -38,10 +38,8 @@ def filter_points(scene: Scene, rules: Rules) -> tuple[Scene, Outcome]:
 
 
 def affordable_length(scene: Scene, rules: Rules, wanted: int) -> int:
-    """The track length that can be asked for: `wanted`, or less where a view would be left without support.
-
-    Points that only two views see are the least certain, but where photographs overlap little they are all there is.
-    """
+    """The track length that can be asked for: `wanted`, or less where a view would be left without support. Points that
+    only two views see are the least certain, but where photographs overlap little they are all there is."""
     for length in range(min(wanted, scene.views.num_registered), 2, -1):
         filtered, _ = filter_points(scene, replace(rules, min_track_length=length, min_support=0))
         if int(filtered.support()[scene.views.registered].min()) >= rules.min_registration_inliers:

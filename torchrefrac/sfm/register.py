@@ -17,10 +17,8 @@ MIN_INITIAL_POINTS = 12
 
 
 def rank_initial_pairs(pairs: Sequence[VerifiedPair], options: SfmOptions) -> list[VerifiedPair]:
-    """Best first: most inliers among the pairs with a sufficient baseline, then the others by their angle.
-
-    Pairs that determine no pose are left out.
-    """
+    """Best first: most inliers among the pairs with a sufficient baseline, then the others by their angle. Pairs that
+    determine no pose are left out."""
 
     def key(pair: VerifiedPair) -> tuple[bool, float]:
         wide = pair.pose.median_angle >= options.min_initial_angle_deg * torch.pi / 180.0

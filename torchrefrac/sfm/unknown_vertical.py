@@ -173,10 +173,8 @@ def _variance(views: TwoViews, model: Float[Tensor, " 8"], max_error: float) -> 
 
 
 def _report(views: TwoViews, models: Models, max_error: float, min_inliers: int) -> UnknownVertical:
-    """The first of models that explain the matches equally well.
-
-    They are refined once more at a threshold that follows from the noise.
-    """
+    """The first of models that explain the matches equally well. They are refined once more at a threshold that follows
+    from the noise."""
     if not len(models):
         return _nothing(views.plane1, "no vertical gives a pose that places the second camera above the water")
     tight = tightened(views.squared_errors(models[:1]), max_error)

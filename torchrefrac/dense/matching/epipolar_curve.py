@@ -5,6 +5,7 @@ relaxed to a band along this curve (section 3.6 of the paper; PMVS has a band al
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -14,12 +15,15 @@ from torch import Tensor
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.checks import require, require_broadcasting
 from torchrefrac.dense.matching.interest_points import InterestPoints, strongest
-from torchrefrac.dense.matching.ray_curve import MIN_CHORD, Curve, follow, frame_of, within
 from torchrefrac.dense.rays import PixelRays, project_moving
 
 CURVES = 1024  # worked on at once
 TINY = 1e-30
 STEPS = 4  # Gauss-Newton; within the band the curve bends so little that these leave nothing
+COARSE = 33  # samples of a curve whose course is not known yet
+MOST_SAMPLES = 512
+MIN_CHORD = 1e-6  # pixels
+MARGIN = 32.0  # pixels around where the other points lie
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,14 @@ class Candidates:
 
     def __len__(self) -> int:
         return len(self.point)
+
+
+class Curve(NamedTuple):
+    """The images of n rays, followed by chords: pixels at ascending distances, and which of them are valid."""
+
+    pixels: Float[Tensor, "n s 2"]
+    distance: Float[Tensor, "n s"]
+    valid: Bool[Tensor, "n s"]
 
 
 def find_candidates(
@@ -159,3 +171,63 @@ def _refined(
         distance = (distance + step).clamp(lower, upper)
     pixels, valid = camera.project(rays.origin + distance[:, None] * direction)
     return distance, (pixels - at).norm(dim=-1), valid
+
+
+def sample(rays: PixelRays, camera: RefractiveCamera, distance: Float[Tensor, "n s"]) -> Curve:
+    """The images of rays (n) at distances; not valid is what the camera cannot see."""
+    pixels, valid = camera.project(rays[:, None].at(distance))
+    return Curve(pixels, distance, valid)
+
+
+def follow(
+    rays: PixelRays,
+    camera: RefractiveCamera,
+    near: Float[Tensor, " n"],
+    far: Float[Tensor, " n"],
+    frame: Float[Tensor, "2 2"],
+    spacing: float,
+) -> Curve:
+    """Samples about `spacing` pixels apart within the frame, one of them where the ray enters the water."""
+    surface = torch.zeros_like(near).clamp(near, far)[:, None]
+    distance = evenly(near, far, COARSE)
+    for apart in (4.0 * spacing, spacing):
+        curve = sample(rays, camera, torch.cat((distance, surface), dim=1).sort(dim=1).values)
+        length = _length(curve, frame)
+        distance = _spread(curve.distance, length, min(int(length[:, -1].max() / apart) + 2, MOST_SAMPLES))
+    return sample(rays, camera, torch.cat((distance, surface), dim=1).sort(dim=1).values)
+
+
+def evenly(near: Float[Tensor, " n"], far: Float[Tensor, " n"], samples: int) -> Float[Tensor, "n {samples}"]:
+    """Distances from near to far."""
+    part = torch.linspace(0.0, 1.0, samples, dtype=near.dtype, device=near.device)
+    return torch.lerp(near[:, None], far[:, None], part)
+
+
+def _length(curve: Curve, frame: Float[Tensor, "2 2"]) -> Float[Tensor, "n s"]:
+    """Pixels from the first sample to each along the chords, as far as they lie in the frame. Strictly ascending. A
+    chord with one valid end counts as the longest that there is."""
+    chord = within(curve.pixels, frame).diff(dim=1).norm(dim=-1)
+    both, either = curve.valid[:, 1:] & curve.valid[:, :-1], curve.valid[:, 1:] | curve.valid[:, :-1]
+    longest = (frame[1] - frame[0]).norm()
+    chord = torch.where(both, chord, torch.where(either, longest, 0.0)) + MIN_CHORD
+    return torch.nn.functional.pad(chord.cumsum(dim=1), (1, 0))
+
+
+def _spread(distance: Float[Tensor, "n s"], length: Float[Tensor, "n s"], samples: int) -> Float[Tensor, "n {samples}"]:
+    """Distances evenly spaced in length, which is known at the given ones."""
+    wanted = length[:, -1:] * torch.linspace(0.0, 1.0, samples, dtype=length.dtype, device=length.device)
+    index = torch.searchsorted(length, wanted, right=True).clamp(1, length.shape[1] - 1)
+    start, end = length.gather(1, index - 1), length.gather(1, index)
+    share = ((wanted - start) / (end - start)).clamp(0.0, 1.0)
+    return torch.lerp(distance.gather(1, index - 1), distance.gather(1, index), share)
+
+
+def frame_of(pixels: Float[Tensor, "m 2"], band: float) -> Float[Tensor, "2 2"]:
+    """The least and the greatest pixels of all that may lie in the band of one of `pixels`, and a margin. Within the
+    margin a chord may depart from its curve."""
+    return torch.stack((pixels.amin(dim=0), pixels.amax(dim=0))) + pixels.new_tensor([[-1.0], [1.0]]) * (band + MARGIN)
+
+
+def within(pixels: Float[Tensor, "*batch 2"], frame: Float[Tensor, "2 2"]) -> Float[Tensor, "*batch 2"]:
+    """Pixels moved into the frame: of a chord, the part that lies there stays within the box around its moved ends."""
+    return pixels.clamp(frame[0], frame[1])

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
-from torchrefrac.checks import require, require_ending
+from torchrefrac.checks import require
 
 CORNER, BLOB = 0, 1
 BORDER = 4  # pixels along the border in which nothing is looked for: filters see beyond it
@@ -33,20 +33,16 @@ class InterestPoints:
         return len(self.kind)
 
 
-def detect_interest_points(
-    image: Shaped[Tensor, "h w"], per_cell: int = 4, cell: int = 32, mask: Shaped[Tensor, "h w"] | None = None
-) -> InterestPoints:
+def detect_interest_points(image: Shaped[Tensor, "h w"], per_cell: int = 4, cell: int = 32) -> InterestPoints:
     """Corners and blobs of a grey image, 0 to 255, to a fraction of a pixel.
 
     Corners are maxima of Harris's response to the image smoothed by a Gaussian, blobs maxima and minima of the
     difference of two Gaussians, among their 3 x 3 neighbours. Each lies at the vertex of the parabola through its
     neighbours. In each square of cell x cell pixels the strongest `per_cell` of either kind stay. Nothing is found
     within 4 pixels of the border, nor where the response is no stronger than noise with a standard deviation of one
-    grey level makes it. mask: pixels that points may lie in; None: all.
+    grey level makes it. Points come corners first, square by square, the strongest of each first.
 
-    Points come corners first, square by square, the strongest of each first.
-
-    Raises ValueError for an image that is not (h, w) or not finite, a mask of another shape, and counts below 1.
+    Raises ValueError for an image that is not (h, w) or not finite, and counts below 1.
     """
     if image.dim() != 2:
         raise ValueError(f"image has shape {tuple(image.shape)}, but must be (height, width)")
@@ -54,8 +50,6 @@ def detect_interest_points(
     require(per_cell, "per_cell", at_least=1)
     require(cell, "cell", at_least=1)
     height, width = image.shape
-    if mask is not None:
-        require_ending(mask, "mask", (height, width))
     if min(height, width) <= 2 * BORDER:
         empty = image.new_zeros(0, 2, dtype=torch.float64)
         return InterestPoints(empty, empty.new_zeros(0, dtype=torch.long))
@@ -73,10 +67,6 @@ def detect_interest_points(
     pixels, strength = (torch.cat(parts) for parts in zip(*found, strict=True))
     kind = torch.full((len(pixels),), BLOB, device=pixels.device)
     kind[: len(found[0][0])] = CORNER
-    if mask is not None:
-        column, row = pixels.long().unbind(dim=-1)
-        allowed = mask.bool()[row, column]
-        pixels, strength, kind = pixels[allowed], strength[allowed], kind[allowed]
     column, row = (pixels / cell).long().unbind(dim=-1)
     square = (kind * (height // cell + 1) + row) * (width // cell + 1) + column
     best = strongest(square, strength, per_cell)
@@ -86,10 +76,8 @@ def detect_interest_points(
 def _peaks(
     response: Float[Tensor, "h w"], least: float, elongation: float
 ) -> tuple[Float[Tensor, "k 2"], Float[Tensor, " k"]]:
-    """Pixels of the maxima of a response that reach `least`, and the response there.
-
-    Of equal neighbours the first counts. Maxima without a vertex nearby, or elongated ones, are left out.
-    """
+    """Pixels of the maxima of a response that reach `least`, and the response there. Of equal neighbours the first
+    counts. Maxima without a vertex nearby, or elongated ones, are left out."""
     highest = torch.nn.functional.max_pool2d(response[None, None], 3, stride=1, padding=1)[0, 0]
     inner = (slice(BORDER, -BORDER),) * 2
     row, column = ((response == highest) & (response >= least))[inner].nonzero().unbind(dim=-1)
@@ -103,10 +91,8 @@ def _peaks(
 
 
 def _vertex(around: Float[Tensor, "k 9"], elongation: float) -> tuple[Float[Tensor, "k 2"], Bool[Tensor, " k"]]:
-    """Shift from the middle of 3 x 3 values to the vertex of their parabola, and where there is one.
-
-    From central differences, as in Brown & Lowe, BMVC 2002.
-    """
+    """Shift from the middle of 3 x 3 values to the vertex of their parabola, and where there is one. From central
+    differences, as in Brown & Lowe, BMVC 2002."""
     nw, n, ne, w, middle, e, sw, s, se = around.unbind(dim=-1)
     gx, gy = (e - w) / 2.0, (s - n) / 2.0
     xx, yy, xy = e + w - 2.0 * middle, s + n - 2.0 * middle, (se + nw - ne - sw) / 4.0
