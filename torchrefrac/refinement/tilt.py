@@ -1,9 +1,9 @@
-"""Rotations near a measured vertical, as a vector: cam_from_world = cam_from_level exp([t]x) R_z(heading).
+"""Poses near a measured vertical, cam_from_world = cam_from_level exp([t]x) R_z(heading), and what is known of them
+beside pixels: gravity, the heading, and that a camera stands above the water.
 
 t = (t_x, t_y, 0) is the error of the measured vertical, a turn about a horizontal axis, in radians. A prior on gravity
-is one on the length of t, and t = 0 is what the solvers with known vertical find.
-
-Models of poses are rows (tilts, heading, centre) with two tilts a camera, the centre being that of the last camera.
+is one on the length of t, and t = 0 is what the solvers with known vertical find. Models of poses are rows (tilts,
+heading, centre) with two tilts a camera, the centre being that of the last camera.
 """
 
 from collections.abc import Callable
