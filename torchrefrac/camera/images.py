@@ -51,9 +51,7 @@ def remove_refraction(
 
 
 def _points_at_depth(
-    view: RefractiveCamera,
-    camera: RefractiveCamera,
-    depth: Float[Tensor, "rows columns"] | Float[Tensor, ""] | float,
+    view: RefractiveCamera, camera: RefractiveCamera, depth: Float[Tensor, "rows columns"] | Float[Tensor, ""] | float
 ) -> tuple[Float[Tensor, "rows columns 3"], Bool[Tensor, "rows columns"]]:
     """Where the straight rays of `view` meet the plane `depth` below the interface, and whether they do."""
     plane = camera.plane_in_world()

@@ -75,10 +75,7 @@ def operands(
     """Everything in one list, and how many dimensions of each belong to one element."""
     parameters = interface.parameters(points)
     optics = (intrinsics.focal, intrinsics.principal_point, intrinsics.distortion)
-    return Operands(
-        [rotation, center, points, *optics, *parameters],
-        [2, 1, 1, 1, 1, 1, *parameter_dims(parameters)],
-    )
+    return Operands([rotation, center, points, *optics, *parameters], [2, 1, 1, 1, 1, 1, *parameter_dims(parameters)])
 
 
 def view_of(tensors: Sequence[Parameter], interface: FlatInterface) -> View:

@@ -38,8 +38,7 @@ class TriangleMesh:
 
     @cached_property
     def _planes(self) -> Float[Tensor, "f 12"]:
-        """Of each face: unit normal n and offset n . x, then gradient and value at the world's origin of u and
-        of v."""
+        """Of each face: unit normal n and offset n . x, then gradient and value at the world's origin of u and of v."""
         corners = self.vertices[self.faces]
         a, b, c = corners.unbind(dim=1)
         first, second = b - a, c - a

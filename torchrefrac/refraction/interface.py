@@ -34,11 +34,10 @@ class FlatInterface:
     `plane` is the first surface that a ray from the camera meets, its normal pointing to the camera's side; by
     default z = 0 with the camera above. Points on the camera's side, and on that surface, are seen straight.
 
-    Two media: index_ratio = n_water / n_air, at least 1, the camera in the rarer. 1 is no interface at all.
-    Any media: `layers`, refractive indices of at least 1 from the camera's medium to the last one, of which only the
-    ratios matter, with the `thickness` (length unit of the scene) of each layer between the first and the last:
-    (1.0, 1.52, 1.333) with (0.01,) is an aquarium wall, (1.333, 1.0) a diver who looks out. `index_ratio` then is
-    last / first.
+    Two media: index_ratio = n_water / n_air, at least 1, the camera in the rarer. 1 is no interface at all. Any media:
+    `layers`, refractive indices of at least 1 from the camera's medium to the last one, of which only the ratios
+    matter, with the `thickness` (length unit of the scene) of each layer between the first and the last: (1.0, 1.52,
+    1.333) with (0.01,) is an aquarium wall, (1.333, 1.0) a diver who looks out. `index_ratio` then is last / first.
 
     moves_with_camera: the plane is fixed to the camera and given in its frame (x right, y down, z forward), as for a
     flat port. Each value is a number or a tensor that broadcasts against the camera's batch. Raises ValueError,

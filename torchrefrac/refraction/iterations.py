@@ -63,12 +63,7 @@ def find_root(equation: Equation, method: str) -> Float[Tensor, "*batch"]:
     return s
 
 
-def screening_height(
-    distance_sq: Part,
-    height: Part,
-    depth: Part,
-    index_ratio: Part,
-) -> Float[Tensor, "*batch"]:
+def screening_height(distance_sq: Part, height: Part, depth: Part, index_ratio: Part) -> Float[Tensor, "*batch"]:
     """Apparent height over one water surface for comparing many hypotheses: values only, in the dtype given.
 
     height > 0, depth >= 0. Two Halley steps: up to 85 degrees a relative error below 1e-6 in float32 and 1e-10 in

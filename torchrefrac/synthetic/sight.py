@@ -79,8 +79,7 @@ class Scenery:
         entry, start = self._enter(center, directions)
         wet = self._nearest(self.below, start, entry.direction)
         wet = wet._replace(
-            length=torch.where(entry.valid, wet.length, torch.inf),
-            surface=torch.where(entry.valid, wet.surface, -1),
+            length=torch.where(entry.valid, wet.length, torch.inf), surface=torch.where(entry.valid, wet.surface, -1)
         )
         sight = Sight(start, entry.direction, wet.length, wet.surface, wet.uv, wet.normal, entry.valid, entry.cosine)
         if not self.above:
