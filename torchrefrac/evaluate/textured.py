@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from torchrefrac.files.capture import read_grey
-from torchrefrac.files.truth_points import load_truth_points
+from torchrefrac.files.truth import load_truth_points
 from torchrefrac.scene import CaptureError, Scene, Truth, TruthPoints
 
 SAME_PLACE = 1.5  # times the distance between neighbouring entries: two images' entries of one place are nearer

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from torchrefrac.files.truth_points import FILE as POINTS_FILE
+from torchrefrac.files.truth import POINTS_FILE
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.synthetic.attitude import measure_attitude, measure_positions
 from torchrefrac.synthetic.folder import (
