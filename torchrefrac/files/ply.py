@@ -11,7 +11,9 @@ from torchrefrac.atomic import replacing
 from torchrefrac.checks import TorchrefracError
 
 KINDS = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
-NAMES = dict(zip(KINDS, ("char", "uchar", "short", "ushort", "int", "uint", "float", "double"), strict=True))
+NAMES: dict[str, str] = dict(
+    zip(KINDS, ("char", "uchar", "short", "ushort", "int", "uint", "float", "double"), strict=True)
+)
 NEWER_NAMES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
 TYPES = {name: kind for kind, name in (*NAMES.items(), *zip(KINDS, NEWER_NAMES, strict=True))}
 BYTE_ORDERS = {"format binary_little_endian 1.0": "<", "format binary_big_endian 1.0": ">"}

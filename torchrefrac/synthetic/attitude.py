@@ -8,8 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.geometry import so3_exp, split_heading
-from torchrefrac.synthetic.options import InertialOptions, SyntheticOptions
-from torchrefrac.synthetic.seeds import seeded
+from torchrefrac.synthetic.options import InertialOptions, SyntheticOptions, seeded
 
 LEAST_SIGMA_DEG = 0.05
 MOST_SIGMA_DEG = 30.0

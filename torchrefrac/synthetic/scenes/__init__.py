@@ -8,11 +8,8 @@ from torchrefrac.synthetic.scenes.tank import TankOptions, tank_stage
 from torchrefrac.synthetic.stage import Stage
 
 SCENES: dict[str, type[SyntheticOptions]] = {
-    "tank": TankOptions,
-    "cans": CansOptions,
-    "riverbed": RiverbedOptions,
-    "mesh": MeshOptions,
-}
+    "tank": TankOptions, "cans": CansOptions, "riverbed": RiverbedOptions, "mesh": MeshOptions,
+}  # fmt: skip
 
 
 def stage_of(options: SyntheticOptions) -> Stage:

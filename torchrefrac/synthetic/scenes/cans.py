@@ -12,10 +12,9 @@ from torch import Tensor
 
 from torchrefrac.checks import require
 from torchrefrac.geometry.surfaces import Cylinder, Rectangle
-from torchrefrac.synthetic.options import SyntheticOptions
+from torchrefrac.synthetic.options import SyntheticOptions, require_heights, require_images
 from torchrefrac.synthetic.paths import look_at, ring, rolls
 from torchrefrac.synthetic.prints import checkerboard, label, tiles, wood
-from torchrefrac.synthetic.scenes.checks import require_heights, require_images
 from torchrefrac.synthetic.scenes.shapes import footprint, level_rectangle, vector, walls
 from torchrefrac.synthetic.stage import Piece, Stage
 from torchrefrac.synthetic.textures import ImageTexture, SideBySide

@@ -13,10 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.checks import require
-from torchrefrac.synthetic.options import SyntheticOptions
+from torchrefrac.synthetic.options import SyntheticOptions, require_heights, require_images
 from torchrefrac.synthetic.paths import look_at, ring, rolls
 from torchrefrac.synthetic.patterns import sand
-from torchrefrac.synthetic.scenes.checks import require_heights, require_images
 from torchrefrac.synthetic.scenes.mesh_colours import coloured
 from torchrefrac.synthetic.scenes.shapes import level_rectangle
 from torchrefrac.synthetic.stage import Piece, Stage, StageError
