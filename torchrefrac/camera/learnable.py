@@ -45,14 +45,8 @@ class LearnableCamera(nn.Module):
         start = interface.index_like(center)
         if "index_ratio" in learn and not bool((start > 1.0).all()):
             raise ValueError("index_ratio is 1, but must be above 1 to be learnt: start from a guess")
-        sizes = {
-            "index_ratio": (),
-            "plane_tilt": (2,),
-            "plane_height": (),
-            "rotation": (*camera.shape, 3),
-            "center": (*camera.shape, 3),
-        }
-        for name, size in sizes.items():
+        each = (*camera.shape, 3)
+        for name, size in zip(LEARNABLE, ((), (2,), (), each, each), strict=True):
             self.register_parameter(name, nn.Parameter(center.new_zeros(size), requires_grad=name in learn))
         self._start = camera
 

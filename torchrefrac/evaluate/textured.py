@@ -110,9 +110,8 @@ def _spacing(points: Float[Tensor, "h w 3"], valid: Bool[Tensor, "h w"]) -> Floa
 
     The longer of two: that to the nearer neighbour in the row, and that to the nearer one in the column.
     """
-    in_row = _to_nearer_neighbour(points, valid)
-    in_column = _to_nearer_neighbour(points.transpose(0, 1), valid.T).T
-    return torch.maximum(*(torch.where(gap.isfinite(), gap, 0.0) for gap in (in_row, in_column)))
+    gaps = _to_nearer_neighbour(points, valid), _to_nearer_neighbour(points.transpose(0, 1), valid.T).T
+    return torch.maximum(*(torch.where(gap.isfinite(), gap, 0.0) for gap in gaps))
 
 
 def _to_nearer_neighbour(points: Float[Tensor, "h w 3"], valid: Bool[Tensor, "h w"]) -> Float[Tensor, "h w"]:

@@ -160,8 +160,7 @@ def _diagonal(fields: Fields, name: str) -> Covariance:
     """The covariance of sigmas: one for each axis, or the same for all."""
     one_for_all = not fields.is_list(name)
     sigmas = [fields.number(name)] * 3 if one_for_all else fields.numbers(name, 3)
-    labels = [name if one_for_all else f"{name}[{i}]" for i in range(3)]
-    sigmas = [_within(fields, label, sigma) for label, sigma in zip(labels, sigmas, strict=True)]
+    sigmas = [_within(fields, name if one_for_all else f"{name}[{i}]", sigma) for i, sigma in enumerate(sigmas)]
     return torch.diag(torch.tensor(sigmas, dtype=torch.float64).square())
 
 

@@ -83,9 +83,8 @@ class InertialOptions:
     def __post_init__(self) -> None:
         require_between(self.gravity_sigma_deg, "gravity_sigma_deg", 0.0, 30.0, "degrees")
         if len(self.gravity_bias_deg) != 2 or not all(abs(turn) <= 30.0 for turn in self.gravity_bias_deg):
-            raise ValueError(
-                f"gravity_bias_deg is {list(self.gravity_bias_deg)}, but must be two angles up to 30 degrees"
-            )
+            given = list(self.gravity_bias_deg)
+            raise ValueError(f"gravity_bias_deg is {given}, but must be two angles up to 30 degrees")
         if self.heading_sigma_deg is not None:
             require(self.heading_sigma_deg, "heading_sigma_deg", at_least=0.0)
 
@@ -126,9 +125,9 @@ class SyntheticOptions:
         require_between(self.reflection, "reflection", 0.0, 255.0)
 
 
-def require_images(images: int, name: str = "images", *, at_least: int = 2) -> None:
+def require_images(images: int) -> None:
     """Refuse too few photographs to reconstruct from, and more than anyone means to render."""
-    require_between(images, name, at_least, MAX_IMAGES)
+    require_between(images, "images", 2, MAX_IMAGES)
 
 
 def require_heights(heights: Sequence[float]) -> None:

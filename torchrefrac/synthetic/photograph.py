@@ -128,6 +128,5 @@ def develop(
         blurred = cv2.GaussianBlur(light.numpy(), (size, size), options.blur, borderType=cv2.BORDER_REFLECT_101)
         light = torch.from_numpy(blurred)
     if options.noise > 0.0:
-        generator = seeded(seed, "noise", image)
-        light = light + options.noise * torch.randn(light.shape, generator=generator)
+        light = light + options.noise * torch.randn(light.shape, generator=seeded(seed, "noise", image))
     return light.round().clamp(0.0, 255.0).to(torch.uint8).numpy()

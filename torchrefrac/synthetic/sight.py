@@ -105,8 +105,7 @@ class Scenery:
         found = nearest([self.pieces[i].surface for i in chosen], origins, directions)
         if tuple(chosen) == tuple(range(len(self.pieces))):
             return found
-        number = torch.tensor((*chosen, -1))
-        return found._replace(surface=number[found.surface])
+        return found._replace(surface=torch.tensor((*chosen, -1))[found.surface])
 
 
 def see(
