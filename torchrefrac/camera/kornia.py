@@ -55,7 +55,8 @@ def to_kornia(camera: RefractiveCamera) -> "PinholeCamera":
     rotation = camera.cam_from_world_rotation.expand(*batch, 3, 3).reshape(-1, 3, 3)
     center = camera.center_in_world.expand(*batch, 3).reshape(-1, 3)
     count = len(center)
-    extrinsics, matrix = torch.eye(4, dtype=center.dtype, device=center.device).repeat(2, count, 1, 1)
+    extrinsics = torch.eye(4, dtype=center.dtype, device=center.device).repeat(count, 1, 1)
+    matrix = extrinsics.clone()
     extrinsics[:, :3, :3] = rotation
     extrinsics[:, :3, 3] = -rotate(rotation, center)
     focal = intrinsics.focal.expand(*batch, 2).reshape(-1, 2)
