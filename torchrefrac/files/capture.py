@@ -119,14 +119,14 @@ def _gravity_sigma(top: Fields) -> float:
     return math.radians(sigma)
 
 
-def _of_all(image: Fields, field: str) -> None:
+def _require_for_all(image: Fields, field: str) -> None:
     if field not in image:
         problem = f"of {image.text('name')} is missing, but others have it; give it for all images or for none"
         raise image.fail(field, problem)
 
 
 def _gravity(image: Fields) -> list[float]:
-    _of_all(image, "down_in_cam")
+    _require_for_all(image, "down_in_cam")
     down = image.numbers("down_in_cam", 3)
     norm = sum(x * x for x in down) ** 0.5
     if abs(norm - 1.0) > UNIT_TOLERANCE:
@@ -139,7 +139,7 @@ def _gravity(image: Fields) -> list[float]:
 
 def _heading(image: Fields) -> float:
     """In radians."""
-    _of_all(image, "heading_deg")
+    _require_for_all(image, "heading_deg")
     return math.radians(image.number("heading_deg"))
 
 

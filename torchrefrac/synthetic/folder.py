@@ -39,7 +39,7 @@ def image_names(count: int) -> tuple[str, ...]:
 def render_into(
     folder: Path, photographer: Photographer, options: SyntheticOptions, version: int, recorder: Recorder
 ) -> None:
-    """Write all files of a scene, those of whole images aside that are there already.
+    """Write all files of a scene; images that are there already are whole, and stay.
 
     Raises StageError where by its measured gravity a camera looks at the sky: captures of these are refused.
     """
