@@ -10,7 +10,7 @@ import trimesh
 
 from torchrefrac.cli import commands
 from torchrefrac.files.run import RunRecord
-from torchrefrac.synthetic import library
+from torchrefrac.synthetic import folder
 from torchrefrac.synthetic.scenes import mesh, tank
 
 SMALL = ("scene.camera.width=320", "scene.camera.height=240", "scene.sensor.samples=1")
@@ -174,7 +174,7 @@ def test_a_mesh_of_one_s_own_is_put_under_water_and_measured(torchrefrac, coarse
 def test_a_disk_that_is_full_while_a_scene_is_rendered_is_named_and_the_other_job_goes_on(
     torchrefrac, plain, captures, metrics, monkeypatch, tmp_path
 ):
-    write, seen = library.write_photograph, []
+    write, seen = folder.write_photograph, []
 
     def fill(image, path):
         seen.append(path.name)
@@ -182,7 +182,7 @@ def test_a_disk_that_is_full_while_a_scene_is_rendered_is_named_and_the_other_jo
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
         write(image, path)
 
-    monkeypatch.setattr(library, "write_photograph", fill)
+    monkeypatch.setattr(folder, "write_photograph", fill)
 
     ended = torchrefrac("-m", *TANK, "model=none,refractive", "out=runs")
 

@@ -10,8 +10,7 @@ import torch
 
 from torchrefrac.evaluate.dense_metrics import evaluate_dense, signed_plane_distance
 from torchrefrac.evaluate.textured import textured_points
-from torchrefrac.files.truth import load_truth
-from torchrefrac.files.truth_points import load_truth_points
+from torchrefrac.files.truth import load_truth, load_truth_points
 from torchrefrac.geometry import Similarity, so3_exp
 from torchrefrac.geometry.surfaces import Rectangle
 from torchrefrac.geometry.triangle_mesh import TriangleMesh

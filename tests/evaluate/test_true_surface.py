@@ -14,8 +14,7 @@ from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.evaluate.mesh_distance import MeshDistance
 from torchrefrac.evaluate.true_surface import TrueSurface
 from torchrefrac.files.library import embedded_scene
-from torchrefrac.files.truth import load_truth
-from torchrefrac.files.truth_points import load_truth_points
+from torchrefrac.files.truth import load_truth, load_truth_points
 from torchrefrac.geometry import so3_exp
 from torchrefrac.geometry.surfaces import Rectangle
 from torchrefrac.geometry.triangle_mesh import TriangleMesh

@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from torchrefrac.files.library import embedded_scene
-from torchrefrac.files.truth import load_truth
-from torchrefrac.files.truth_points import load_truth_points
+from torchrefrac.files.truth import load_truth, load_truth_points
 from torchrefrac.scene import CaptureError
 
 NAMES = load_truth(embedded_scene("tank_small")).names

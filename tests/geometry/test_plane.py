@@ -73,17 +73,6 @@ def test_the_plane_through_a_point_holds_it(draw):
     assert plane.normal == pytest.approx(tuple(n / math.hypot(*normal) for n in normal))
 
 
-@pytest.mark.parametrize("rows", [3, 4])
-def test_the_plane_of_a_pose_is_the_one_of_height_zero_carried_along(draw, rows):
-    rotation, translation, flat = draw.rotations(5), draw.normal(5, 3), draw.normal(5, 3)
-    pose = torch.eye(4, dtype=torch.float64).repeat(5, 1, 1)
-    pose[:, :3, :3], pose[:, :3, 3] = rotation, translation
-
-    plane = Plane.from_pose(pose[:, :rows])
-
-    assert_matches(plane.signed_distance(rotate(rotation, flat) + translation), flat[:, 2], slack=10.0)
-
-
 def test_the_tangents_of_the_horizontal_plane_are_x_and_y():
     first, second = Plane().tangents_like(UP)
 

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from torchrefrac.synthetic.fresnel import reflectance
+from torchrefrac.synthetic.waves import reflectance
 
 
 @pytest.mark.parametrize("n", [1.2, 1.333, 1.5])

@@ -8,9 +8,9 @@ import torch
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.synthetic import photograph
-from torchrefrac.synthetic.fresnel import reflectance
 from torchrefrac.synthetic.photograph import Photographer
 from torchrefrac.synthetic.sight import see
+from torchrefrac.synthetic.waves import reflectance
 
 IMAGE = 1
 

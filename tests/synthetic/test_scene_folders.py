@@ -17,8 +17,7 @@ from filelock import FileLock
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.survey import read_survey
-from torchrefrac.files.truth import load_truth
-from torchrefrac.files.truth_points import load_truth_points
+from torchrefrac.files.truth import load_truth, load_truth_points
 from torchrefrac.recorder import SilentRecorder
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.synthetic.library import render_scene, scene_folder

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from torchrefrac.synthetic.options import SensorOptions
-from torchrefrac.synthetic.sensor import develop
+from torchrefrac.synthetic.photograph import develop
 
 PERFECT = SensorOptions(blur=0.0, noise=0.0)
 

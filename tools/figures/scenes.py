@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 
 from torchrefrac.synthetic.options import CameraOptions, SyntheticOptions
-from torchrefrac.synthetic.photograph import Photographer
+from torchrefrac.synthetic.photograph import Photographer, develop
 from torchrefrac.synthetic.scenes import CansOptions, RiverbedOptions, TankOptions, stage_of
-from torchrefrac.synthetic.sensor import develop
 
 WIDTH, HEIGHT, GAP = 400, 300, 6
 SCENES: tuple[tuple[SyntheticOptions, tuple[int, ...]], ...] = (

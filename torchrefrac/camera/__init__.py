@@ -9,16 +9,6 @@ from torchrefrac.camera.learnable import LearnableCamera
 from torchrefrac.camera.refractive import RefractiveCamera
 
 __all__ = [
-    "Intrinsics",
-    "LearnableCamera",
-    "ProjectionJacobians",
-    "RefractiveCamera",
-    "distort",
-    "distort_with_jacobians",
-    "from_kornia",
-    "project_with_jacobians",
-    "projection_parts",
-    "remove_refraction",
-    "to_kornia",
-    "undistort",
-]
+    "Intrinsics", "LearnableCamera", "ProjectionJacobians", "RefractiveCamera", "distort", "distort_with_jacobians",
+    "from_kornia", "project_with_jacobians", "projection_parts", "remove_refraction", "to_kornia", "undistort",
+]  # fmt: skip

@@ -14,8 +14,7 @@ UNDISTORT_STEPS = 8
 
 
 class DistortionSlopes(NamedTuple):
-    """Distorted (u, v) and derivatives: in the ideal (x, y), where dv/dx = du/dy = mixed, and in k1, k2, p1, p2,
-    k3."""
+    """Distorted (u, v) and derivatives: in the ideal (x, y), where dv/dx = du/dy = mixed, and in k1, k2, p1, p2, k3."""
 
     u: Part
     v: Part
@@ -51,10 +50,7 @@ def distort_components(x: Part, y: Part, coefficients: Sequence[Part]) -> tuple[
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     xy2 = 2.0 * x * y
-    return (
-        x * radial + p1 * xy2 + p2 * (r2 + 2.0 * x * x),
-        y * radial + p2 * xy2 + p1 * (r2 + 2.0 * y * y),
-    )
+    return (x * radial + p1 * xy2 + p2 * (r2 + 2.0 * x * x), y * radial + p2 * xy2 + p1 * (r2 + 2.0 * y * y))
 
 
 def distortion_slopes(x: Part, y: Part, coefficients: Sequence[Part]) -> DistortionSlopes:

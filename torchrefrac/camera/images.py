@@ -51,13 +51,10 @@ def remove_refraction(
 
 
 def _points_at_depth(
-    view: RefractiveCamera,
-    camera: RefractiveCamera,
-    depth: Float[Tensor, "rows columns"] | Float[Tensor, ""] | float,
+    view: RefractiveCamera, camera: RefractiveCamera, depth: Float[Tensor, "rows columns"] | Float[Tensor, ""] | float
 ) -> tuple[Float[Tensor, "rows columns 3"], Bool[Tensor, "rows columns"]]:
     """Where the straight rays of `view` meet the plane `depth` below the interface, and whether they do."""
-    plane = camera.plane_in_world()
-    center = view.center_in_world
+    plane, center = camera.plane_in_world(), view.center_in_world
     directions = view.view_directions(view.intrinsics.pixel_grid())
     approach = -(plane.normal_like(directions) * directions).sum(dim=-1)
     met = approach > 0

@@ -1,7 +1,7 @@
 """Focal length, principal point and distortion of a camera."""
 
-from collections.abc import Sequence
-from dataclasses import InitVar, dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import InitVar, dataclass
 from typing import Any
 
 import torch
@@ -11,6 +11,8 @@ from torch import Tensor
 from torchrefrac.camera.distortion import distort, undistort
 from torchrefrac.checks import at_least_single, require, require_broadcasting, require_ending, require_floating
 from torchrefrac.numerics import pick
+
+COMPONENTS = {"focal": 2, "principal_point": 2, "distortion": 5}
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +34,8 @@ class Intrinsics:
     def __post_init__(self, check: bool) -> None:
         if min(self.width, self.height) < 1:
             raise ValueError(f"width and height are {self.width} and {self.height}, but must be at least 1 pixel")
-        require_ending(self.focal, "focal", (2,))
-        require_ending(self.principal_point, "principal_point", (2,))
-        require_ending(self.distortion, "distortion", (5,))
-        for name in ("focal", "principal_point", "distortion"):
+        for name, components in COMPONENTS.items():
+            require_ending(getattr(self, name), name, (components,))
             require_floating(getattr(self, name), name)
             object.__setattr__(self, name, at_least_single(getattr(self, name)))
         _ = self.shape
@@ -57,13 +57,8 @@ class Intrinsics:
         """From plain numbers; one focal length serves both axes, the principal point is by default the middle."""
         both = (focal, focal) if isinstance(focal, int | float) else focal
         middle = (width / 2, height / 2) if principal_point is None else principal_point
-        return cls(
-            width,
-            height,
-            torch.tensor(both, dtype=dtype),
-            torch.tensor(middle, dtype=dtype),
-            torch.tensor(distortion, dtype=dtype),
-        )
+        f, c, k = (torch.tensor(numbers, dtype=dtype) for numbers in (both, middle, distortion))
+        return cls(width, height, f, c, k)
 
     def pixels_from_plane(self, xy: Float[Tensor, "*#batch 2"]) -> Float[Tensor, "*batch 2"]:
         """Pixels of ideal image-plane coordinates x/z, y/z."""
@@ -93,28 +88,16 @@ class Intrinsics:
     @property
     def shape(self) -> torch.Size:
         """The batch shape *B."""
-        return require_broadcasting(
-            focal=self.focal.shape[:-1],
-            principal_point=self.principal_point.shape[:-1],
-            distortion=self.distortion.shape[:-1],
-        )
+        return require_broadcasting(**{name: getattr(self, name).shape[:-1] for name in COMPONENTS})
 
     def indexed(self, index: Any, batch: Sequence[int]) -> "Intrinsics":
         """Those of some of the cameras of a batch (see `RefractiveCamera.__getitem__`)."""
-        return replace(
-            self,
-            focal=pick(self.focal, index, batch, 1),
-            principal_point=pick(self.principal_point, index, batch, 1),
-            distortion=pick(self.distortion, index, batch, 1),
-            check=False,
-        )
+        return self._with_each(lambda value: pick(value, index, batch, 1))
 
     def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "Intrinsics":
         """The same in another dtype or on another device."""
-        return replace(
-            self,
-            focal=self.focal.to(dtype=dtype, device=device),
-            principal_point=self.principal_point.to(dtype=dtype, device=device),
-            distortion=self.distortion.to(dtype=dtype, device=device),
-            check=False,
-        )
+        return self._with_each(lambda value: value.to(dtype=dtype, device=device))
+
+    def _with_each(self, change: Callable[[Any], Any]) -> "Intrinsics":
+        changed = (change(getattr(self, name)) for name in COMPONENTS)
+        return Intrinsics(self.width, self.height, *changed, check=False)

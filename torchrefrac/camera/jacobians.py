@@ -73,8 +73,7 @@ def project_with_jacobians(
     tensors, event_dims = operands(intrinsics, rotation, center, points, interface)
     tangents = interface.plane.tangents_like(points)
     dims = (1, 0, *(2 for _ in BLOCKS))
-    results = in_blocks(precise(block, interface), [*tangents, *tensors], [1, 1, *event_dims], dims)
-    pixels, valid, *blocks = results
+    pixels, valid, *blocks = in_blocks(precise(block, interface), [*tangents, *tensors], [1, 1, *event_dims], dims)
     by: dict[str, Parameter] = dict(zip(BLOCKS, blocks, strict=True))
     by["plane_height"] = by["plane_height"][..., 0]
     by["principal_point"] = torch.eye(2, dtype=pixels.dtype, device=pixels.device).expand((*valid.shape, 2, 2))
@@ -139,13 +138,9 @@ def _differentiate(
 def _with_frozen_ratio(sight: Sight, lift: Lift) -> Lift:
     """H = h / lambda with lambda a constant, where light is bent."""
     zero = torch.zeros_like(lift.height)
-    return Lift(
-        height=lift.height,
-        by_height=torch.where(sight.bent, lift.height / sight.safe_height, lift.by_height),
-        by_depth=torch.where(sight.bent, 0.0, lift.by_depth),
-        by_distance_sq=zero,
-        by_index=[zero for _ in lift.by_index],
-    )
+    by_height = torch.where(sight.bent, lift.height / sight.safe_height, lift.by_height)
+    by_depth = torch.where(sight.bent, 0.0, lift.by_depth)
+    return Lift(lift.height, by_height, by_depth, by_distance_sq=zero, by_index=[zero for _ in lift.by_index])
 
 
 class _Bend(NamedTuple):

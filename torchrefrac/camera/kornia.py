@@ -56,9 +56,9 @@ def to_kornia(camera: RefractiveCamera) -> "PinholeCamera":
     center = camera.center_in_world.expand(*batch, 3).reshape(-1, 3)
     count = len(center)
     extrinsics = torch.eye(4, dtype=center.dtype, device=center.device).repeat(count, 1, 1)
+    matrix = extrinsics.clone()
     extrinsics[:, :3, :3] = rotation
     extrinsics[:, :3, 3] = -rotate(rotation, center)
-    matrix = torch.eye(4, dtype=center.dtype, device=center.device).repeat(count, 1, 1)
     focal = intrinsics.focal.expand(*batch, 2).reshape(-1, 2)
     matrix[:, 0, 0], matrix[:, 1, 1] = focal[:, 0], focal[:, 1]
     matrix[:, :2, 2] = intrinsics.principal_point.expand(*batch, 2).reshape(-1, 2) - HALF_PIXEL

@@ -16,11 +16,10 @@ LEARNABLE = ("index_ratio", "plane_tilt", "plane_height", "rotation", "center")
 class LearnableCamera(nn.Module):
     """A `RefractiveCamera` whose index ratio, plane and poses are parameters; the intrinsics stay as they are.
 
-    Parameters are changes from the camera given, all zero at the start: `index_ratio`, log of the factor of
-    index ratio - 1; `plane_tilt`, radians, and `plane_height`, the unit of the scene, as in `Plane.moved`;
-    `rotation`, left perturbation in radians, and `center` for each camera. Those named in `learn` are
-    trained. The index ratio never falls below 1. Learn from points that lie inside the images: outside them distortion
-    may lead astray.
+    Parameters are changes from the camera given, all zero at the start: `index_ratio`, log of the factor of index ratio
+    - 1; `plane_tilt`, radians, and `plane_height`, the unit of the scene, as in `Plane.moved`; `rotation`, left
+    perturbation in radians, and `center` for each camera. Those named in `learn` are trained. The index ratio never
+    falls below 1. Learn from points that lie inside the images: outside them distortion may lead astray.
 
     Height and centre have the unit of the scene, the others none: give them learning rates of their own where that
     unit is far from the size of the scene. Raises ValueError for a name that is not known, and for an index ratio to
@@ -46,14 +45,8 @@ class LearnableCamera(nn.Module):
         start = interface.index_like(center)
         if "index_ratio" in learn and not bool((start > 1.0).all()):
             raise ValueError("index_ratio is 1, but must be above 1 to be learnt: start from a guess")
-        sizes = {
-            "index_ratio": (),
-            "plane_tilt": (2,),
-            "plane_height": (),
-            "rotation": (*camera.shape, 3),
-            "center": (*camera.shape, 3),
-        }
-        for name, size in sizes.items():
+        each = (*camera.shape, 3)
+        for name, size in zip(LEARNABLE, ((), (2,), (), each, each), strict=True):
             self.register_parameter(name, nn.Parameter(center.new_zeros(size), requires_grad=name in learn))
         self._start = camera
 

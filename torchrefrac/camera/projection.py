@@ -19,13 +19,6 @@ from torchrefrac.refraction.lift import Sight, is_valid, look, offset_components
 MIN_DEPTH = 1e-9
 
 
-class Operands(NamedTuple):
-    """What a projection depends on, as tensors that `in_blocks` can cut up."""
-
-    tensors: list[Parameter]
-    event_dims: list[int]
-
-
 class View(NamedTuple):
     """One block of operands: rotation as rows, focal, principal_point and distortion as components, and the sight line
     in the interface's frame, which is the camera's where `in_camera`."""
@@ -71,14 +64,12 @@ def operands(
     center: Vectors,
     points: Vectors,
     interface: FlatInterface,
-) -> Operands:
-    """Everything in one list, and how many dimensions of each belong to one element."""
+) -> tuple[list[Parameter], list[int]]:
+    """What a projection depends on, as tensors that `in_blocks` can cut up, and how many dimensions of each belong to
+    one element."""
     parameters = interface.parameters(points)
     optics = (intrinsics.focal, intrinsics.principal_point, intrinsics.distortion)
-    return Operands(
-        [rotation, center, points, *optics, *parameters],
-        [2, 1, 1, 1, 1, 1, *parameter_dims(parameters)],
-    )
+    return [rotation, center, points, *optics, *parameters], [2, 1, 1, 1, 1, 1, *parameter_dims(parameters)]
 
 
 def view_of(tensors: Sequence[Parameter], interface: FlatInterface) -> View:
@@ -87,26 +78,17 @@ def view_of(tensors: Sequence[Parameter], interface: FlatInterface) -> View:
     rows, c, p = triples.rows(rotation), triples.split(center), triples.split(points)
     if interface.moves_with_camera:
         offset = triples.minus(p, c)
-        p = (triples.dot(rows[0], offset), triples.dot(rows[1], offset), triples.dot(rows[2], offset))
+        p = triples.rotated(rows, offset)
         zero = torch.zeros_like(p[0])
         c = (zero, zero, zero)
-    return View(
-        rotation=rows,
-        focal=focal.unbind(dim=-1),
-        principal_point=principal_point.unbind(dim=-1),
-        distortion=distortion.unbind(dim=-1),
-        sight=look(c, p, parameters),
-        in_camera=interface.moves_with_camera,
-    )
+    f, middle, k = (values.unbind(dim=-1) for values in (focal, principal_point, distortion))
+    return View(rows, f, middle, k, look(c, p, parameters), interface.moves_with_camera)
 
 
 def in_camera(view: View, height: Part) -> Triple:
     """The apparent offset in the camera's frame, for the apparent height H."""
     offset = offset_components(view.sight, height)
-    if view.in_camera:
-        return offset
-    first, second, third = view.rotation
-    return triples.dot(first, offset), triples.dot(second, offset), triples.dot(third, offset)
+    return offset if view.in_camera else triples.rotated(view.rotation, offset)
 
 
 def onto_plane(x_in_cam: Triple) -> tuple[Part, Part, Part, Mask]:

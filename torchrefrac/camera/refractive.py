@@ -50,14 +50,13 @@ class RefractiveCamera:
     check: InitVar[bool] = True
 
     def __post_init__(self, check: bool) -> None:
-        require_ending(self.cam_from_world_rotation, "cam_from_world_rotation", (3, 3))
-        require_ending(self.center_in_world, "center_in_world", (3,))
-        require_floating(self.cam_from_world_rotation, "cam_from_world_rotation")
-        require_floating(self.center_in_world, "center_in_world")
+        for name, ending in (("cam_from_world_rotation", (3, 3)), ("center_in_world", (3,))):
+            require_ending(getattr(self, name), name, ending)
+            require_floating(getattr(self, name), name)
         if check:
             require_rotation(self.cam_from_world_rotation, "cam_from_world_rotation")
-        object.__setattr__(self, "cam_from_world_rotation", at_least_single(self.cam_from_world_rotation))
-        object.__setattr__(self, "center_in_world", at_least_single(self.center_in_world))
+        for name in ("cam_from_world_rotation", "center_in_world"):
+            object.__setattr__(self, name, at_least_single(getattr(self, name)))
         dtype = torch.promote_types(self.cam_from_world_rotation.dtype, self.center_in_world.dtype)
         if self.intrinsics.focal.dtype != dtype:
             object.__setattr__(self, "intrinsics", self.intrinsics.to(dtype=dtype))
@@ -112,10 +111,7 @@ class RefractiveCamera:
         point behind the camera, a camera on the wrong side of its interface; with `inside_image` what lies outside the
         image; with `beyond_only` points on the camera's side. Finite points have finite pixels, valid or not.
         """
-        points = self._checked(points_in_world, "points_in_world", 3)
-        pixels, valid, beyond = project(
-            self.intrinsics, self.cam_from_world_rotation, self.center_in_world, points, self.interface
-        )
+        pixels, valid, beyond = project(*self._looking_at(points_in_world))
         if beyond_only:
             valid = valid & beyond
         if inside_image:
@@ -126,10 +122,7 @@ class RefractiveCamera:
         self, points_in_world: Points
     ) -> tuple[Float[Tensor, "*batch 2"], ProjectionJacobians, Bool[Tensor, "*batch"]]:
         """Pixels, their closed-form derivatives and the mask of `project`."""
-        points = self._checked(points_in_world, "points_in_world", 3)
-        return project_with_jacobians(
-            self.intrinsics, self.cam_from_world_rotation, self.center_in_world, points, self.interface
-        )
+        return project_with_jacobians(*self._looking_at(points_in_world))
 
     def cast_rays(
         self, pixels: Pixels
@@ -167,8 +160,7 @@ class RefractiveCamera:
 
         The grid covers the image with pixels of equal size; by default it is the image's own.
         """
-        grid = self.intrinsics.pixel_grid(height, width)
-        return self[..., None, None].cast_rays(grid)
+        return self[..., None, None].cast_rays(self.intrinsics.pixel_grid(height, width))
 
     def view_directions(self, pixels: Pixels) -> Float[Tensor, "*batch 3"]:
         """Unit viewing directions in the camera's medium, in the world frame."""
@@ -182,8 +174,7 @@ class RefractiveCamera:
 
     def apparent_points(self, points_in_world: Points) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
         """Where points appear to be, in the world frame: lifted along the normal; and the mask."""
-        points = self._checked(points_in_world, "points_in_world", 3)
-        offset, valid = self._offsets(points)
+        offset, valid = self._offsets(points_in_world)
         if self.interface.moves_with_camera:
             offset = rotate(self.cam_from_world_rotation.mT, offset)
         return self.center_in_world + offset, valid
@@ -195,8 +186,7 @@ class RefractiveCamera:
 
     def incidence_angle(self, points_in_world: Points) -> tuple[Float[Tensor, "*batch"], Bool[Tensor, "*batch"]]:
         """Angle (radians) between the ray to each point in the camera's medium and the normal; and the mask."""
-        points = self._checked(points_in_world, "points_in_world", 3)
-        offset, valid = self._offsets(points)
+        offset, valid = self._offsets(points_in_world)
         normal = self.interface.plane.normal_like(offset)
         across = torch.linalg.cross(normal.expand_as(offset), offset, dim=-1).norm(dim=-1)
         return torch.atan2(across, -(normal * offset).sum(dim=-1)), valid
@@ -209,15 +199,21 @@ class RefractiveCamera:
 
     def plane_in_world(self) -> Plane:
         """The first surface in the world frame."""
-        plane = self.interface.plane
         if not self.interface.moves_with_camera:
-            return plane
-        world_from_cam = self.cam_from_world_rotation.mT
-        return plane.in_frame(world_from_cam, -rotate(self.cam_from_world_rotation, self.center_in_world))
+            return self.interface.plane
+        origin = -rotate(self.cam_from_world_rotation, self.center_in_world)
+        return self.interface.plane.in_frame(self.cam_from_world_rotation.mT, origin)
 
-    def _offsets(self, points: Vectors) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
+    def _looking_at(
+        self, points: Points
+    ) -> tuple[Intrinsics, Float[Tensor, "*#batch 3 3"], Vectors, Vectors, FlatInterface]:
+        """What the functions of a projection take."""
+        points = self._checked(points, "points_in_world", 3)
+        return self.intrinsics, self.cam_from_world_rotation, self.center_in_world, points, self.interface
+
+    def _offsets(self, points: Points) -> tuple[Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
         """Apparent offsets in the interface's frame."""
-        center = self.center_in_world
+        points, center = self._checked(points, "points_in_world", 3), self.center_in_world
         if self.interface.moves_with_camera:
             points = rotate(self.cam_from_world_rotation, points - center)
             center = torch.zeros_like(center)
@@ -235,10 +231,8 @@ class RefractiveCamera:
         """Of a shape that broadcasts against the cameras, in the dtype that holds both."""
         require_ending(value, name, (components,))
         require_broadcasting(**{name: value.shape[:-1], "camera": self.shape})
-        dtype = value.dtype
-        for tensor in (self.center_in_world, self.cam_from_world_rotation):
-            dtype = torch.promote_types(dtype, tensor.dtype)
-        return value.to(dtype)
+        pose = torch.promote_types(self.center_in_world.dtype, self.cam_from_world_rotation.dtype)
+        return value.to(torch.promote_types(value.dtype, pose))
 
     def _require_on_its_side(self) -> None:
         moves = self.interface.moves_with_camera
@@ -252,7 +246,5 @@ class RefractiveCamera:
             raise ValueError(
                 f"interface.plane lies {depth:g} behind the camera, but must lie ahead, its normal towards it"
             )
-        raise ValueError(
-            f"center_in_world is {depth:g} behind the interface somewhere, but must be on the side that its normal "
-            "points to (above a water surface)"
-        )
+        wanted = "on the side that its normal points to (above a water surface)"
+        raise ValueError(f"center_in_world is {depth:g} behind the interface somewhere, but must be {wanted}")

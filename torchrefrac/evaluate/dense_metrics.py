@@ -20,8 +20,11 @@ INLIER_SIGMAS = 3.0
 Metrics = dict[str, float | int | list[float | None]]
 
 
-def summarize_dense(cloud: DenseCloud) -> Metrics:
-    """What is known without truth: how many points there are, and their median views, score and sigma."""
+def evaluate_dense_run(
+    cloud: DenseCloud, truth: Truth | None, alignment: Similarity | None, seen: Float[Tensor, "k 3"] | None
+) -> Metrics:
+    """How many points there are, their median views, score and sigma; where the truth is known what `evaluate_dense`
+    says, too."""
     metrics: Metrics = {"dense_points": len(cloud)}
     if len(cloud):
         metrics |= {
@@ -29,17 +32,7 @@ def summarize_dense(cloud: DenseCloud) -> Metrics:
             "dense_score_median": float(cloud.score.median()),
             f"dense_sigma_median_{cloud.length_unit}": float(cloud.sigma.median()),
         }
-    return metrics
-
-
-def evaluate_dense_run(
-    cloud: DenseCloud, truth: Truth | None, alignment: Similarity | None, seen: Float[Tensor, "k 3"] | None
-) -> Metrics:
-    """What `summarize_dense` and, where the truth is known, `evaluate_dense` say."""
-    metrics = summarize_dense(cloud)
-    if truth is None or alignment is None:
-        return metrics
-    return metrics | evaluate_dense(cloud, truth, alignment, seen)
+    return metrics if truth is None or alignment is None else metrics | evaluate_dense(cloud, truth, alignment, seen)
 
 
 def evaluate_dense(
@@ -94,8 +87,7 @@ def signed_plane_distance(points: Float[Tensor, "n 3"], truth: Truth) -> tuple[F
     if not len(truth.corner):
         raise ValueError("truth has no planes, but a distance to one needs at least one")
     nearest = distance_to_each_rectangle(points, truth).argmin(dim=-1)
-    normal = truth.normal
-    normal = torch.where(normal[:, 2:] < 0.0, -normal, normal)
+    normal = torch.where(truth.normal[:, 2:] < 0.0, -truth.normal, truth.normal)
     return ((points - truth.corner[nearest]) * normal[nearest]).sum(dim=-1), nearest
 
 

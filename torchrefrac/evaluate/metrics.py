@@ -51,9 +51,7 @@ def evaluate(scene: Scene, truth: Truth) -> tuple[dict[str, float | int | str], 
     surface, where there is one; point_median_UNIT, point_rms_UNIT and flatness_UNIT of `point_metrics`, where the truth
     has an index ratio and intrinsics, too. true_index_ratio: where the truth has it.
     """
-    known: dict[str, float | int | str] = {}
-    if truth.index_ratio is not None:
-        known["true_index_ratio"] = truth.index_ratio
+    known: dict[str, float | int | str] = {} if truth.index_ratio is None else {"true_index_ratio": truth.index_ratio}
     views = scene.views
     common = [(i, truth.names.index(name)) for i, name in enumerate(views.names) if name in truth.names]
     rows = [(i, j) for i, j in common if bool(views.registered[i])]
@@ -87,11 +85,8 @@ def evaluate(scene: Scene, truth: Truth) -> tuple[dict[str, float | int | str], 
 
 def evaluate_run(scene: Scene, truth: Truth | None) -> tuple[dict[str, Any], Similarity | None]:
     """What `summarize` and, where the truth is known, `evaluate` say; and the alignment of the latter."""
-    metrics = summarize(scene)
-    if truth is None:
-        return metrics, None
-    errors, alignment = evaluate(scene, truth)
-    return metrics | errors, alignment
+    errors, alignment = ({}, None) if truth is None else evaluate(scene, truth)
+    return summarize(scene) | errors, alignment
 
 
 def rms(values: Float[Tensor, "..."]) -> float:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from torchrefrac.files.capture import read_grey
-from torchrefrac.files.truth_points import load_truth_points
+from torchrefrac.files.truth import load_truth_points
 from torchrefrac.scene import CaptureError, Scene, Truth, TruthPoints
 
 SAME_PLACE = 1.5  # times the distance between neighbouring entries: two images' entries of one place are nearer
@@ -110,9 +110,8 @@ def _spacing(points: Float[Tensor, "h w 3"], valid: Bool[Tensor, "h w"]) -> Floa
 
     The longer of two: that to the nearer neighbour in the row, and that to the nearer one in the column.
     """
-    in_row = _to_nearer_neighbour(points, valid)
-    in_column = _to_nearer_neighbour(points.transpose(0, 1), valid.T).T
-    return torch.maximum(*(torch.where(gap.isfinite(), gap, 0.0) for gap in (in_row, in_column)))
+    gaps = _to_nearer_neighbour(points, valid), _to_nearer_neighbour(points.transpose(0, 1), valid.T).T
+    return torch.maximum(*(torch.where(gap.isfinite(), gap, 0.0) for gap in gaps))
 
 
 def _to_nearer_neighbour(points: Float[Tensor, "h w 3"], valid: Bool[Tensor, "h w"]) -> Float[Tensor, "h w"]:

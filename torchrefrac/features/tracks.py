@@ -40,10 +40,8 @@ def build_tracks(
     image = torch.from_numpy(np.repeat(np.arange(len(features)), counts))
     pixels = torch.cat([f.pixels for f in features])
     node = _merge_positions(image, pixels)
-    edges = torch.cat(
-        [pair.matches + torch.tensor([offset[pair.first], offset[pair.second]]) for pair in pairs]
-        or [torch.zeros(0, 2, dtype=torch.long)]
-    )
+    edges = [pair.matches + torch.tensor([offset[pair.first], offset[pair.second]]) for pair in pairs]
+    edges = torch.cat(edges or [torch.zeros(0, 2, dtype=torch.long)])
     first, second = node[edges[:, 0]].numpy(), node[edges[:, 1]].numpy()
     graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(len(node), len(node)))
     _, label = connected_components(graph, directed=False)

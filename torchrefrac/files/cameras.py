@@ -1,6 +1,5 @@
 """`cameras.json` and `points.ply`: what a run leaves behind, written whole or not at all."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,15 +10,14 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from torchrefrac.atomic import replacing
-from torchrefrac.camera import Intrinsics, RefractiveCamera
-from torchrefrac.files.fields import Fields, scene_fields
+from torchrefrac.camera import RefractiveCamera
+from torchrefrac.files.capture import intrinsics_content, read_intrinsics
+from torchrefrac.files.fields import Fields, different_names, scene_fields, write_json
 from torchrefrac.files.ply import write_vertices
 from torchrefrac.geometry import Rigid
 from torchrefrac.scene import Assessment, Cameras, Interfaces, Observations, Scene, SceneError, Views, mean_deviation
 
 CAMERAS, FORMAT = "cameras.json", "torchrefrac-cameras/1"
-UNKNOWN = ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [0.0, 0.0, 0.0])  # the pose of what has none
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +48,8 @@ def write_cameras(scene: Scene, path: Path) -> None:
     """
     intrinsics, views = scene.intrinsics, scene.views
     if not scene.interfaces.is_level:
-        raise SceneError(
-            f"{path} has no place for water that is not the plane z = 0; write a COLMAP model and water.json"
-        )
-    (fx, fy), (cx, cy) = intrinsics.focal.tolist(), intrinsics.principal_point.tolist()
+        remedy = "write a COLMAP model and water.json"
+        raise SceneError(f"{path} has no place for water that is not the plane z = 0; {remedy}")
     covariance = scene.assessment.center_covariance
     covariances = iter([] if covariance is None else covariance.tolist())
     images: list[dict[str, object]] = []
@@ -67,39 +63,31 @@ def write_cameras(scene: Scene, path: Path) -> None:
         else:
             entry["reason"] = scene.failures.get(name, "")
         images.append(entry)
-    content = {
-        "format": FORMAT,
-        "length_unit": scene.length_unit,
-        "index_ratio": scene.index_ratio,
-        "pixel_origin": "corner",
-        "intrinsics": {
-            **{"width": intrinsics.width, "height": intrinsics.height, "fx": fx, "fy": fy, "cx": cx, "cy": cy},
-            "distortion": intrinsics.distortion.tolist(),
-        },
-        "images": images,
-    }
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    content: dict[str, object] = {"format": FORMAT, "length_unit": scene.length_unit, "index_ratio": scene.index_ratio}
+    content |= {"pixel_origin": "corner", "intrinsics": intrinsics_content(intrinsics), "images": images}
+    write_json(content, path)
 
 
 def read_cameras(path: Path) -> Scene:
     """Read `cameras.json`: the views of a run, registered or not, without points, and of the assessment that of the
     centres. Raises SceneError, with the file and the field, for anything that cannot be right."""
     with scene_fields(path) as top:
-        for name, wanted in (("format", FORMAT), ("pixel_origin", "corner")):
-            if top.text(name) != wanted:
-                raise top.fail(name, f"is {top.text(name)!r}, but must be {wanted!r}")
+        top.must_be("format", FORMAT)
+        top.must_be("pixel_origin", "corner")
         if top.number("index_ratio") < 1.0:
             raise top.fail("index_ratio", f"is {top.number('index_ratio'):g}, but must be at least 1")
         images = top.objects("images")
-        names = _names(images)
-        registered = [image.flag("registered") for image in images]
-        poses = [_pose(image) if known else UNKNOWN for image, known in zip(images, registered, strict=True)]
-        pose = Rigid(_table([rotation for rotation, _ in poses], 3, 3), _table([center for _, center in poses], 3))
+        names = different_names(images)
+        known = torch.tensor([image.flag("registered") for image in images], dtype=torch.bool)
+        registered = [image for image in images if image.flag("registered")]
+        pose = Rigid.identity(len(images))
+        pose.rotation[known] = _table([image.matrix("cam_from_world_rotation") for image in registered], 3, 3)
+        pose.center[known] = _table([image.numbers("center_in_world", 3) for image in registered], 3)
+        intrinsics = top.object("intrinsics")
         none = torch.zeros(0, 3, dtype=torch.float64)
         return Scene(
-            cameras=Cameras.of([_intrinsics(top.object("intrinsics"))]),
-            views=replace(Views.posed(pose, names), registered=torch.tensor(registered, dtype=torch.bool)),
+            cameras=Cameras.of([read_intrinsics(intrinsics, intrinsics.numbers("distortion", 5))]),
+            views=replace(Views.posed(pose, names), registered=known),
             interfaces=Interfaces.level(top.number("index_ratio")),
             points=none,
             colors=none.to(torch.uint8),
@@ -108,36 +96,12 @@ def read_cameras(path: Path) -> Scene:
             accepted=torch.zeros(0, dtype=torch.bool),
             length_unit=top.text("length_unit"),
             failures={image.text("name"): image.text("reason", "") for image in images if not image.flag("registered")},
-            assessment=_assessment([image for image in images if image.flag("registered")]),
+            assessment=_assessment(registered),
         )
-
-
-def _intrinsics(fields: Fields) -> Intrinsics:
-    for name in ("width", "height", "fx", "fy"):
-        if fields.number(name) <= 0:
-            raise fields.fail(name, f"is {fields.number(name):g}, but must be above 0")
-    focal, principal_point = ((fields.number(x), fields.number(y)) for x, y in (("fx", "fy"), ("cx", "cy")))
-    width, height = fields.integer("width"), fields.integer("height")
-    return Intrinsics.create(width, height, focal, principal_point, fields.numbers("distortion", 5))
-
-
-def _pose(image: Fields) -> tuple[list[list[float]], list[float]]:
-    return image.matrix("cam_from_world_rotation"), image.numbers("center_in_world", 3)
 
 
 def _table(rows: Sequence[Any], *shape: int) -> Float[Tensor, "m *shape"]:
     return torch.tensor(rows, dtype=torch.float64).reshape(-1, *shape)
-
-
-def _names(images: list[Fields]) -> tuple[str, ...]:
-    names: list[str] = []
-    for image in images:
-        if image.text("name") in names:
-            raise image.fail(
-                "name", f"is {image.text('name')!r}, which an image before it already has; names must differ"
-            )
-        names.append(image.text("name"))
-    return tuple(names)
 
 
 def _assessment(registered: list[Fields]) -> Assessment:

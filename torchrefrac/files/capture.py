@@ -1,13 +1,15 @@
 """Reading `capture.json` and checking it before anything is computed."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import torch
 
 from torchrefrac.camera import Intrinsics
-from torchrefrac.files.fields import Fields, read_json
+from torchrefrac.files.fields import Fields, different_names, read_json
 from torchrefrac.scene import Cameras, Capture, CaptureError, Interfaces
 from torchrefrac.scene.interfaces import INDEX_RATIO_RANGE, MAX_INDEX_RATIO
 
@@ -30,9 +32,8 @@ def load_capture(folder: str | Path) -> Capture:
         raise CaptureError(f"{folder} is not a folder; give the folder that holds capture.json and images/")
     top = read_json(folder / "capture.json")
     top.only("format", "length_unit", "index_ratio", "pixel_origin", "intrinsics", "down_in_cam_sigma_deg", "images")
-    if top.text("format") != FORMAT:
-        raise top.fail("format", f"is {top.text('format')!r}, but must be {FORMAT!r}")
-    intrinsics = read_intrinsics(top)
+    top.must_be("format", FORMAT)
+    intrinsics = capture_intrinsics(top)
     images = top.objects("images")
     if len(images) < 2:
         raise top.fail("images", f"lists {len(images)}, but a reconstruction needs at least 2")
@@ -40,18 +41,16 @@ def load_capture(folder: str | Path) -> Capture:
     paths = tuple(folder / "images" / name for name in names)
     for path in paths:
         _check_image(path, intrinsics)
-    has_gravity = any("down_in_cam" in image for image in images)
-    has_heading = any("heading_deg" in image for image in images)
+    has_gravity, has_heading = (any(name in image for image in images) for name in ("down_in_cam", "heading_deg"))
     heights = [_height(image) for image in images]
+    down = [_gravity(image) if has_gravity else OPTICAL_AXIS for image in images]
     return Capture(
         folder=folder,
         names=names,
         paths=paths,
         cameras=Cameras.of([intrinsics]),
         interfaces=Interfaces.level(read_index_ratio(top)),
-        down_in_cam=torch.tensor(
-            [_gravity(image) if has_gravity else OPTICAL_AXIS for image in images], dtype=torch.float64
-        ),
+        down_in_cam=torch.tensor(down, dtype=torch.float64),
         down_sigma=_gravity_sigma(top) if has_gravity else math.inf,
         height=torch.tensor([height or 1.0 for height in heights], dtype=torch.float64),
         has_height=torch.tensor([height is not None for height in heights]),
@@ -62,26 +61,37 @@ def load_capture(folder: str | Path) -> Capture:
     )
 
 
-def read_intrinsics(top: Fields) -> Intrinsics:
+def capture_intrinsics(top: Fields) -> Intrinsics:
     """The intrinsics that capture.json describes."""
     fields = top.object("intrinsics")
     fields.only("width", "height", "fx", "fy", "cx", "cy", "distortion")
-    origin = top.text("pixel_origin")
-    if origin not in PIXEL_SHIFT:
-        raise top.fail("pixel_origin", f"is {origin!r}, but must be 'center' (OpenCV) or 'corner' (COLMAP)")
-    size = {name: fields.integer(name) for name in ("width", "height")}
-    positive = {name: fields.number(name) for name in ("fx", "fy")}
-    for name, value in {**size, **positive}.items():
+    shift = pixel_shift(top, top.text("pixel_origin"))
+    distortion = fields.numbers("distortion", 5) if "distortion" in fields else (0.0,) * 5
+    return read_intrinsics(fields, distortion, shift)
+
+
+def read_intrinsics(fields: Fields, distortion: Sequence[float], shift: float = 0.0) -> Intrinsics:
+    """Size, focal lengths and principal point, which is moved by `shift` pixels both ways."""
+    width, height = fields.integer("width"), fields.integer("height")
+    focal, (cx, cy) = ((fields.number(x), fields.number(y)) for x, y in (("fx", "fy"), ("cx", "cy")))
+    for name, value in zip(("width", "height", "fx", "fy"), (width, height, *focal), strict=True):
         if value <= 0:
             raise fields.fail(name, f"is {value:g}, but must be above 0")
-    shift = PIXEL_SHIFT[origin]
-    return Intrinsics.create(
-        size["width"],
-        size["height"],
-        focal=(positive["fx"], positive["fy"]),
-        principal_point=(fields.number("cx") + shift, fields.number("cy") + shift),
-        distortion=fields.numbers("distortion", 5) if "distortion" in fields else (0.0,) * 5,
-    )
+    return Intrinsics.create(width, height, focal, (cx + shift, cy + shift), distortion)
+
+
+def intrinsics_content(intrinsics: Intrinsics) -> dict[str, Any]:
+    """What `read_intrinsics` reads."""
+    numbers = (intrinsics.width, intrinsics.height, *intrinsics.focal.tolist(), *intrinsics.principal_point.tolist())
+    named = dict(zip(("width", "height", "fx", "fy", "cx", "cy"), numbers, strict=True))
+    return {**named, "distortion": intrinsics.distortion.tolist()}
+
+
+def pixel_shift(top: Fields, origin: str) -> float:
+    """From pixels that are counted from `origin` to those of this package."""
+    if origin not in PIXEL_SHIFT:
+        raise top.fail("pixel_origin", f"is {origin!r}, but must be 'center' (OpenCV) or 'corner' (COLMAP)")
+    return PIXEL_SHIFT[origin]
 
 
 def read_index_ratio(top: Fields) -> float:
@@ -93,16 +103,12 @@ def read_index_ratio(top: Fields) -> float:
 
 
 def _names(images: list[Fields]) -> tuple[str, ...]:
-    names: list[str] = []
     for image in images:
         image.only("name", "down_in_cam", "height", "heading_deg", "center_prior")
         name = image.text("name")
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise image.fail("name", f"is {name!r}, but must name a file inside images/")
-        if name in names:
-            raise image.fail("name", f"is {name!r}, which an image before it already has; names must differ")
-        names.append(name)
-    return tuple(names)
+    return different_names(images)
 
 
 def _gravity_sigma(top: Fields) -> float:
@@ -113,29 +119,27 @@ def _gravity_sigma(top: Fields) -> float:
     return math.radians(sigma)
 
 
+def _require_for_all(image: Fields, field: str) -> None:
+    if field not in image:
+        problem = f"of {image.text('name')} is missing, but others have it; give it for all images or for none"
+        raise image.fail(field, problem)
+
+
 def _gravity(image: Fields) -> list[float]:
-    if "down_in_cam" not in image:
-        raise image.fail(
-            "down_in_cam", f"of {image.text('name')} is missing, but others have it; give it for all images or for none"
-        )
+    _require_for_all(image, "down_in_cam")
     down = image.numbers("down_in_cam", 3)
     norm = sum(x * x for x in down) ** 0.5
     if abs(norm - 1.0) > UNIT_TOLERANCE:
         raise image.fail("down_in_cam", f"has length {norm:.4f}, but must be a unit vector (within {UNIT_TOLERANCE:g})")
     if down[2] <= 0.0:
-        raise image.fail(
-            "down_in_cam",
-            f"is {down}, a camera that looks at the sky; with camera z forward its third component must be above 0",
-        )
+        wanted = "with camera z forward its third component must be above 0"
+        raise image.fail("down_in_cam", f"is {down}, a camera that looks at the sky; {wanted}")
     return [x / norm for x in down]
 
 
 def _heading(image: Fields) -> float:
     """In radians."""
-    if "heading_deg" not in image:
-        raise image.fail(
-            "heading_deg", f"of {image.text('name')} is missing, but others have it; give it for all images or for none"
-        )
+    _require_for_all(image, "heading_deg")
     return math.radians(image.number("heading_deg"))
 
 
@@ -162,16 +166,16 @@ def _check_image(path: Path, intrinsics: Intrinsics) -> None:
 
 def read_grey(path: Path) -> cv2.typing.MatLike:
     """8-bit grey image (height, width), as stored: no EXIF rotation."""
-    return _read(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    return _read(path, cv2.IMREAD_GRAYSCALE)
 
 
 def read_color(path: Path) -> cv2.typing.MatLike:
     """8-bit BGR image (height, width, 3), as stored: no EXIF rotation."""
-    return _read(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return _read(path, cv2.IMREAD_COLOR)
 
 
 def _read(path: Path, flags: int) -> cv2.typing.MatLike:
-    image = cv2.imread(str(path), flags)
+    image = cv2.imread(str(path), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise CaptureError(f"{path} cannot be read as an image; is it a complete JPEG, PNG or TIFF file?")
     return image

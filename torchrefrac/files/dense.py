@@ -1,5 +1,6 @@
 """Files of a dense reconstruction: its points as PLY, what each image sees as a NumPy archive."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,8 @@ from torchrefrac.files.ply import DenseFileError, read_vertices, write_vertices
 from torchrefrac.scene.dense import DenseCloud, DepthMap
 
 DEPTH_MAP_FORMAT = "torchrefrac-depth-map/1"
-DEPTH_MAP = {
-    **{"name": "U:", "step": "i:", "points": "n:hw3", "depth": "n:hw", "sigma": "n:hw", "valid": "b:hw"},
-    "length_unit": "U:",
-}
+GRIDS = {"points": "n:hw3", "depth": "n:hw", "sigma": "n:hw", "valid": "b:hw"}
+DEPTH_MAP = {"name": "U:", "step": "i:", **GRIDS, "length_unit": "U:"}
 POSITION, NORMAL, COLOR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
 UNIT = "length_unit"
 MOST_VIEWS = 65535
@@ -30,19 +29,11 @@ def write_dense(cloud: DenseCloud, path: str | Path) -> None:
     round away.
     """
     kind = _kind_of_coordinates(cloud.points, cloud.sigma)
-    write_vertices(
-        [
-            *((name, kind, values) for name, values in zip(POSITION, cloud.points.T, strict=True)),
-            *((name, "f4", values) for name, values in zip(NORMAL, cloud.normals.T, strict=True)),
-            *((name, "u1", values) for name, values in zip(COLOR, cloud.colors.T, strict=True)),
-            ("views", "u2", cloud.views.clamp(max=MOST_VIEWS)),
-            ("sigma", "f4", cloud.sigma),
-            ("score", "f4", cloud.score),
-            ("reference", "i4", cloud.reference),
-        ],
-        Path(path),
-        comments=(f"{UNIT} {cloud.length_unit}",),
-    )
+    triples = ((POSITION, kind, cloud.points), (NORMAL, "f4", cloud.normals), (COLOR, "u1", cloud.colors))
+    columns = [(name, k, column) for names, k, of in triples for name, column in zip(names, of.T, strict=True)]
+    columns += [("views", "u2", cloud.views.clamp(max=MOST_VIEWS)), ("sigma", "f4", cloud.sigma)]
+    columns += [("score", "f4", cloud.score), ("reference", "i4", cloud.reference)]
+    write_vertices(columns, Path(path), comments=(f"{UNIT} {cloud.length_unit}",))
 
 
 def load_dense(path: str | Path) -> DenseCloud:
@@ -61,20 +52,15 @@ def load_dense(path: str | Path) -> DenseCloud:
     if not units:
         raise DenseFileError(f"{path} is not a dense cloud: its header lacks the comment '{UNIT} ...'")
 
-    def column(dtype: type, *names: str) -> Shaped[Tensor, "n k"]:
-        values = np.empty((len(vertices), len(names)), dtype=dtype)
-        for i, name in enumerate(names):
-            values[:, i] = vertices[name]
-        return torch.from_numpy(values)
+    def columns(names: Sequence[str], dtype: type = np.float64) -> Shaped[Tensor, "n k"]:
+        return torch.from_numpy(np.stack([vertices[name].astype(dtype) for name in names], axis=-1))
 
     cloud = DenseCloud(
-        points=column(np.float64, *POSITION),
-        normals=column(np.float64, *NORMAL),
-        colors=column(np.uint8, *COLOR),
-        sigma=column(np.float64, "sigma")[:, 0],
-        score=column(np.float64, "score")[:, 0],
-        views=column(np.int64, "views")[:, 0],
-        reference=column(np.int64, "reference")[:, 0],
+        points=columns(POSITION),
+        normals=columns(NORMAL),
+        colors=columns(COLOR, np.uint8),
+        **{name: columns((name,))[:, 0] for name in ("sigma", "score")},
+        **{name: columns((name,), np.int64)[:, 0] for name in ("views", "reference")},
         length_unit=units[0],
     )
     if not cloud.points.isfinite().all():
@@ -88,20 +74,13 @@ def write_depth_map(depth_map: DepthMap, path: str | Path) -> None:
     Points are float64 where `write_dense` would make them so.
     """
     valid = depth_map.valid
-    kind = _kind_of_coordinates(depth_map.points[valid], depth_map.sigma[valid])
-    write_arrays(
-        {
-            "format": np.array(DEPTH_MAP_FORMAT),
-            "name": np.array(depth_map.name),
-            "step": np.array(depth_map.step),
-            "points": depth_map.points.detach().cpu().numpy().astype(kind),
-            "depth": depth_map.depth.detach().cpu().numpy().astype(np.float32),
-            "sigma": depth_map.sigma.detach().cpu().numpy().astype(np.float32),
-            "valid": valid.cpu().numpy(),
-            "length_unit": np.array(depth_map.length_unit),
-        },
-        path,
-    )
+    kinds = {"points": _kind_of_coordinates(depth_map.points[valid], depth_map.sigma[valid]), "valid": "?"}
+    arrays = {"format": np.array(DEPTH_MAP_FORMAT)}
+    for name in DEPTH_MAP:
+        value = getattr(depth_map, name)
+        is_grid = name in GRIDS
+        arrays[name] = value.detach().cpu().numpy().astype(kinds.get(name, "f4")) if is_grid else np.array(value)
+    write_arrays(arrays, path)
 
 
 def load_depth_map(path: str | Path) -> DepthMap:
@@ -110,7 +89,7 @@ def load_depth_map(path: str | Path) -> DepthMap:
     return DepthMap(
         name=str(found["name"]),
         step=int(found["step"]),
-        **{name: torch.from_numpy(found[name]) for name in ("points", "depth", "sigma", "valid")},
+        **{name: torch.from_numpy(found[name]) for name in GRIDS},
         length_unit=str(found["length_unit"]),
     )
 

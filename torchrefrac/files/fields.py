@@ -2,25 +2,34 @@
 
 import json
 import math
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from torchrefrac.atomic import replacing
 from torchrefrac.scene import CaptureError, SceneError
 
 
-def read_json(path: Path) -> "Fields":
-    """Parse a JSON object."""
+def read_json(
+    path: Path, missing: str = "does not exist; it describes the capture and must lie beside images/", **how: Any
+) -> "Fields":
+    """Parse a JSON object; `missing`: what is said of a file that does not exist, `how`: as `json.loads` takes it."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"), **how)
     except FileNotFoundError:
-        raise CaptureError(f"{path} does not exist; it describes the capture and must lie beside images/") from None
+        raise CaptureError(f"{path} {missing}") from None
     except IsADirectoryError:
         raise CaptureError(f"{path} is a folder, but must be a JSON file") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise CaptureError(f"{path} is not valid JSON: {error}") from None
     return Fields(content, path, "")
+
+
+def write_json(content: dict[str, object], path: Path) -> None:
+    """Write a JSON object, whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 class Fields:
@@ -39,6 +48,11 @@ class Fields:
     def fail(self, name: str, problem: str) -> CaptureError:
         """The error for field `name`, ready to raise."""
         return CaptureError(f"{self._path}: {self._label(name)} {problem}")
+
+    def must_be(self, name: str, wanted: str) -> None:
+        """Refuse any other text than the one wanted."""
+        if self.text(name) != wanted:
+            raise self.fail(name, f"is {self.text(name)!r}, but must be {wanted!r}")
 
     def only(self, *known: str) -> None:
         """Refuse fields that nobody reads: they are misspelt more often than not."""
@@ -126,26 +140,30 @@ class Fields:
 
 
 def _kind(value: Any) -> str:
-    if value is None:
-        return "null"
     if isinstance(value, dict):
         return "an object"
     if isinstance(value, list):
         return f"a list of {len(value)}"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return repr(value)
+    return json.dumps(value) if isinstance(value, bool | None) else repr(value)
+
+
+def different_names(images: Sequence[Fields]) -> tuple[str, ...]:
+    """Those of images, which must differ."""
+    names: list[str] = []
+    for image in images:
+        name = image.text("name")
+        if name in names:
+            raise image.fail("name", f"is {name!r}, which an image before it already has; names must differ")
+        names.append(name)
+    return tuple(names)
 
 
 @contextmanager
 def scene_fields(path: Path) -> Generator[Fields]:
     """A JSON object that belongs to a scene; whatever is wrong with the file or its fields is raised as SceneError."""
+    if not path.is_file():
+        raise SceneError(f"{path} is not a file, but must be one of JSON")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        yield Fields(content, path, "")
-    except (FileNotFoundError, IsADirectoryError):
-        raise SceneError(f"{path} is not a file, but must be one of JSON") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path} is not valid JSON: {error}") from None
+        yield read_json(path)
     except CaptureError as error:
         raise SceneError(str(error)) from None

@@ -15,12 +15,7 @@ if TYPE_CHECKING:
     import trimesh
 
 MAX_SLOPE_DEG = 80.0
-WITHOUT = (
-    (0, (2, 3, 1), 3),
-    (1, (0, 2, 3), 2),
-    (2, (0, 3, 1), 1),
-    (3, (0, 2, 1), 0),
-)
+WITHOUT = ((0, (2, 3, 1), 3), (1, (0, 2, 3), 2), (2, (0, 3, 1), 1), (3, (0, 2, 1), 0))
 """The four triangles of a quad of corners north-west, north-east, south-west, south-east: the corner that a triangle
 lacks, its own, counter-clockwise seen from above, and the one with its right angle."""
 

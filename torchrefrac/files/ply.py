@@ -10,22 +10,12 @@ from torch import Tensor
 from torchrefrac.atomic import replacing
 from torchrefrac.checks import TorchrefracError
 
-TYPES = {
-    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
-    **{"float": "f4", "double": "f8"},
-    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
-    **{"float32": "f4", "float64": "f8"},
-}
-NAMES = {
-    "i1": "char",
-    "u1": "uchar",
-    "i2": "short",
-    "u2": "ushort",
-    "i4": "int",
-    "u4": "uint",
-    "f4": "float",
-    "f8": "double",
-}
+KINDS = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
+NAMES: dict[str, str] = dict(
+    zip(KINDS, ("char", "uchar", "short", "ushort", "int", "uint", "float", "double"), strict=True)
+)
+NEWER_NAMES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
+TYPES = {name: kind for kind, name in (*NAMES.items(), *zip(KINDS, NEWER_NAMES, strict=True))}
 BYTE_ORDERS = {"format binary_little_endian 1.0": "<", "format binary_big_endian 1.0": ">"}
 LONGEST_HEADER = 1 << 16
 
@@ -106,7 +96,6 @@ def _header(start: bytes, path: Path) -> tuple[np.dtype, int, tuple[str, ...], i
                 pass
     name, count = elements[0] if elements and len(elements[0]) == 2 else ("", "")
     if name != "vertex" or not count.isdecimal() or not fields or len(dict(fields)) != len(fields):
-        raise DenseFileError(
-            f"{path} must begin with 'element vertex' and its number, and properties of different names"
-        )
+        wanted = "'element vertex' and its number, and properties of different names"
+        raise DenseFileError(f"{path} must begin with {wanted}")
     return np.dtype(fields), int(count), comments, end_of_line + 1, len(elements) == 1

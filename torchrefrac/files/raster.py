@@ -13,9 +13,9 @@ from torchrefrac.scene.raster import Raster
 FORMAT = "torchrefrac-raster/1"
 DSM = "dsm.npz"
 GRIDS = {
-    **{"height": "n:rc", "depth": "n:rc", "sigma": "n:rc", "count": "i:rc"},
-    **{"colors": "c:rc3", "valid": "b:rc", "filled": "b:rc"},
-}
+    "height": "n:rc", "depth": "n:rc", "sigma": "n:rc", "count": "i:rc", "colors": "c:rc3", "valid": "b:rc",
+    "filled": "b:rc",
+}  # fmt: skip
 NUMBERS = ("x_west", "y_north", "cell_size")
 
 

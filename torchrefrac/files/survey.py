@@ -1,7 +1,7 @@
 """Reading `survey.json` and checking it before anything is computed."""
 
-import json
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.files.capture import PIXEL_SHIFT, UNIT_TOLERANCE
-from torchrefrac.files.fields import Fields
+from torchrefrac.files.capture import UNIT_TOLERANCE, pixel_shift
+from torchrefrac.files.fields import Fields, read_json
 from torchrefrac.scene.capture import CaptureError
 from torchrefrac.scene.survey import ControlPoint, Matrix, ScaleBar, Survey, SurveyedImage, SurveyError, resolve
 
@@ -25,9 +25,7 @@ IMAGE_FIELDS = {
 CONTROL_FIELDS = {"observations": (), "position": ("sigma",), "on_waterline": ("waterline_sigma",)}
 RANGE = 1e100  # of lengths and sigmas: their squares and the inverses of those are finite
 SYMMETRY_TOLERANCE = 1e-6  # of covariances, relative to the standard deviations they belong to
-MIN_EIGENVALUE = (
-    1e-10  # of correlations; below, as many digits as people write do not set them apart from singular ones
-)
+MIN_EIGENVALUE = 1e-10  # of correlations; below, the digits that people write do not tell them from singular ones
 
 
 def read_survey(path: str | Path, names: Sequence[str]) -> Survey:
@@ -46,12 +44,21 @@ def read_survey(path: str | Path, names: Sequence[str]) -> Survey:
     does not exist, and a file none of whose images is among `names`.
     """
     path = Path(path)
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        counts = Counter(name for name, _ in pairs)
+        for name, count in counts.items():
+            if count > 1:
+                raise SurveyError(f"{path}: {name!r} is given twice in one object, but names must differ")
+        return dict(pairs)
+
     try:
-        top = Fields(_parse(path), path, "")
+        # Whole numbers beyond the range of a float become infinite, and are refused as such.
+        missing = "does not exist, but must say what was measured on site"
+        top = read_json(path, missing, object_pairs_hook=unique, parse_int=float)
         top.only("format", "pixel_origin", "images", "marks", "scale_bars")
-        if top.text("format") != FORMAT:
-            raise top.fail("format", f"is {top.text('format')!r}, but must be {FORMAT!r}")
-        shift = _pixel_shift(top)
+        top.must_be("format", FORMAT)
+        shift = pixel_shift(top, top.text("pixel_origin") if "pixel_origin" in top else "corner")
         images = {name: _image(image) for name, image in top.members("images").items()}
         controls = {name: _control_point(entry, shift) for name, entry in top.members("marks").items()}
         for name, point in controls.items():
@@ -67,33 +74,6 @@ def read_survey(path: str | Path, names: Sequence[str]) -> Survey:
         wanted = f"the scene has none of them; its images are {_some(names)}"
         raise SurveyError(f"{path} names the images {_some(survey.skipped)}, but {wanted}")
     return survey
-
-
-def _parse(path: Path) -> Any:
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        content: dict[str, Any] = {}
-        for name, value in pairs:
-            if name in content:
-                raise SurveyError(f"{path}: {name!r} is given twice in one object, but names must differ")
-            content[name] = value
-        return content
-
-    try:
-        # Whole numbers beyond the range of a float become infinite, and are refused as such.
-        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=unique, parse_int=float)
-    except FileNotFoundError:
-        raise SurveyError(f"{path} does not exist, but must say what was measured on site") from None
-    except IsADirectoryError:
-        raise SurveyError(f"{path} is a folder, but must be a JSON file") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise SurveyError(f"{path} is not valid JSON: {error}") from None
-
-
-def _pixel_shift(top: Fields) -> float:
-    origin = top.text("pixel_origin") if "pixel_origin" in top else "corner"
-    if origin not in PIXEL_SHIFT:
-        raise top.fail("pixel_origin", f"is {origin!r}, but must be 'center' (OpenCV) or 'corner' (COLMAP)")
-    return PIXEL_SHIFT[origin]
 
 
 def _image(image: Fields) -> SurveyedImage:
@@ -180,8 +160,7 @@ def _diagonal(fields: Fields, name: str) -> Covariance:
     """The covariance of sigmas: one for each axis, or the same for all."""
     one_for_all = not fields.is_list(name)
     sigmas = [fields.number(name)] * 3 if one_for_all else fields.numbers(name, 3)
-    labels = [name if one_for_all else f"{name}[{i}]" for i in range(3)]
-    sigmas = [_within(fields, label, sigma) for label, sigma in zip(labels, sigmas, strict=True)]
+    sigmas = [_within(fields, name if one_for_all else f"{name}[{i}]", sigma) for i, sigma in enumerate(sigmas)]
     return torch.diag(torch.tensor(sigmas, dtype=torch.float64).square())
 
 

@@ -20,10 +20,9 @@ def write_tracks(scene: Scene, path: str | Path) -> None:
     """Write the points of a finished scene, their colours and observations, and the names of its views, as a NumPy
     archive."""
     seen = scene.observations
-    of_points = {"points": scene.points, "colors": scene.colors}
-    tensors = {"image": seen.view, "point": seen.point, "pixels": seen.pixels, **of_points}
-    arrays = {name: value.detach().cpu().numpy() for name, value in tensors.items()}
-    write_arrays({"names": np.array(scene.views.names, dtype=np.str_), **arrays}, path)
+    tensors = (seen.view, seen.point, seen.pixels, scene.points, scene.colors)
+    arrays = (np.array(scene.views.names, dtype=np.str_), *(value.detach().cpu().numpy() for value in tensors))
+    write_arrays(dict(zip(ARRAYS, arrays, strict=True)), path)
 
 
 def read_scene(folder: str | Path) -> Scene:

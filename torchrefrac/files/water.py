@@ -1,6 +1,5 @@
 """`water.json`: where the water surfaces lie in the frame of a scene, and how strongly they refract."""
 
-import json
 import math
 import sys
 from collections.abc import Sequence
@@ -10,9 +9,8 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from torchrefrac.atomic import replacing
 from torchrefrac.files.capture import read_index_ratio
-from torchrefrac.files.fields import Fields, scene_fields
+from torchrefrac.files.fields import Fields, scene_fields, write_json
 from torchrefrac.scene import Interfaces, Scene
 
 FORMAT = "torchrefrac-water/1"
@@ -28,8 +26,7 @@ def read_water(path: str | Path, names: Sequence[str]) -> tuple[Interfaces, Int[
     path = Path(path)
     with scene_fields(path) as top:
         top.only("format", "length_unit", "index_ratio", "planes", "plane_of")
-        if top.text("format") != FORMAT:
-            raise top.fail("format", f"is {top.text('format')!r}, but must be {FORMAT!r}")
+        top.must_be("format", FORMAT)
         top.text("length_unit")
         planes = [_plane(fields) for fields in top.objects("planes")]
         if not planes:
@@ -51,27 +48,21 @@ def write_water(scene: Scene, path: str | Path) -> None:
     }
     if len(surfaces) > 1:
         content["plane_of"] = dict(zip(views.names, views.interface.tolist(), strict=True))
-    with replacing(Path(path)) as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_json(content, Path(path))
 
 
 def _planes_of(top: Fields, names: Sequence[str], count: int) -> Int[Tensor, " m"]:
     if "plane_of" not in top and count > 1:
         raise top.fail("plane_of", f"is missing, but with {count} planes it must say which an image looks through")
-    plane_of: dict[str, int] = {}
-    if "plane_of" in top:
-        table = top.object("plane_of")
-        plane_of = {name: table.integer(name) for name in table.names()}
+    table = top.object("plane_of") if "plane_of" in top else None
+    plane_of = {} if table is None else {name: table.integer(name) for name in table.names()}
     for name, plane in plane_of.items():
         if not 0 <= plane < count:
             raise top.fail(f"plane_of[{name!r}]", f"is {plane}, but must lie in 0 to {count - 1}, one of the planes")
     missing = [name for name in names if name not in plane_of] if count > 1 else []
     if missing:
-        raise top.fail(
-            "plane_of",
-            f"lacks {len(missing)} of {len(names)} images, {missing[0]} first; with {count} planes it must say for "
-            "each image which it looks through",
-        )
+        wanted = f"with {count} planes it must say for each image which it looks through"
+        raise top.fail("plane_of", f"lacks {len(missing)} of {len(names)} images, {missing[0]} first; {wanted}")
     return torch.tensor([plane_of[name] if count > 1 else 0 for name in names], dtype=torch.long)
 
 

@@ -7,16 +7,6 @@ from torchrefrac.geometry.rigid import Rigid
 from torchrefrac.geometry.rotation import rotate, skew, so3_exp, so3_log
 
 __all__ = [
-    "Plane",
-    "Rigid",
-    "Similarity",
-    "align_above_plane",
-    "align_similarity",
-    "heading_rotation",
-    "level_rotation",
-    "rotate",
-    "skew",
-    "so3_exp",
-    "so3_log",
-    "split_heading",
-]
+    "Plane", "Rigid", "Similarity", "align_above_plane", "align_similarity", "heading_rotation", "level_rotation",
+    "rotate", "skew", "so3_exp", "so3_log", "split_heading",
+]  # fmt: skip

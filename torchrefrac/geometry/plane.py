@@ -52,12 +52,6 @@ class Plane:
         unit = cls(normal).normal
         return cls(normal, sum(float(n) * float(x) for n, x in zip(unit, point, strict=True)))
 
-    @classmethod
-    def from_pose(cls, world_from_plane: Float[Tensor, "*batch rows 4"]) -> "Plane":
-        """The plane z = 0 moved by rigid transforms of 4 or 3 rows."""
-        normal = world_from_plane[..., :3, 2]
-        return cls(normal, (normal * world_from_plane[..., :3, 3]).sum(dim=-1))
-
     def normal_like(self, reference: Float[Tensor, "..."]) -> Float[Tensor, "*batch 3"]:
         """The unit normal in the dtype and on the device of `reference`."""
         if isinstance(self.normal, Tensor):

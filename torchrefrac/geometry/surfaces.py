@@ -145,12 +145,8 @@ class Nearest(NamedTuple):
 
 def nearest(surfaces: Sequence[Surface], origins: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Nearest:
     """The first of `surfaces` that rays of these origins and unit directions meet."""
-    best = Nearest(
-        torch.full_like(origins[:, 0], torch.inf),
-        torch.full(origins.shape[:1], -1),
-        origins.new_zeros(2, len(origins)).mT,
-        origins.new_zeros(3, len(origins)).mT,
-    )
+    uv, normal = (origins.new_zeros(components, len(origins)).mT for components in (2, 3))
+    best = Nearest(torch.full_like(origins[:, 0], torch.inf), torch.full(origins.shape[:1], -1), uv, normal)
     for index, surface in enumerate(surfaces):
         met = surface.intersect(origins, directions)
         nearer = met.length < best.length

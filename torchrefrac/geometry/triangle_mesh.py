@@ -38,8 +38,7 @@ class TriangleMesh:
 
     @cached_property
     def _planes(self) -> Float[Tensor, "f 12"]:
-        """Of each face: unit normal n and offset n . x, then gradient and value at the world's origin of u and
-        of v."""
+        """Of each face: unit normal n and offset n . x, then gradient and value at the world's origin of u and of v."""
         corners = self.vertices[self.faces]
         a, b, c = corners.unbind(dim=1)
         first, second = b - a, c - a
@@ -51,15 +50,8 @@ class TriangleMesh:
         own = (self.vertices[:, :2] if self.uv is None else self.uv)[self.faces]
         gradient = (own[:, 1:] - own[:, :1]).mT @ weights
         value = own[:, 0] - (gradient @ a[..., None])[..., 0]
-        rows = (
-            normal,
-            (normal * a).sum(dim=-1, keepdim=True),
-            gradient[:, 0],
-            value[:, :1],
-            gradient[:, 1],
-            value[:, 1:],
-        )
-        return torch.cat(rows, dim=-1)
+        offset = (normal * a).sum(dim=-1, keepdim=True)
+        return torch.cat((normal, offset, gradient[:, 0], value[:, :1], gradient[:, 1], value[:, 1:]), dim=-1)
 
     def intersect(self, origins: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Meeting:
         scene, low, scale = self._finder

@@ -47,6 +47,11 @@ def scaled(factor: Part, a: Triple) -> Triple:
     return factor * a[0], factor * a[1], factor * a[2]
 
 
+def rotated(matrix: tuple[Triple, Triple, Triple], a: Triple) -> Triple:
+    """A matrix, given as its rows, times a vector."""
+    return dot(matrix[0], a), dot(matrix[1], a), dot(matrix[2], a)
+
+
 def rows(matrices: Float[Tensor, "*batch 3 3"]) -> tuple[Triple, Triple, Triple]:
     """Rows of matrices, each a triple."""
     a, b, c, d, e, f, g, h, i = components(matrices.flatten(-2))

@@ -9,15 +9,6 @@ from torchrefrac.refraction.snell import solve_refrax
 from torchrefrac.refraction.water import FRESH_WATER, SEA_WATER, water_index
 
 __all__ = [
-    "FRESH_WATER",
-    "SEA_WATER",
-    "FlatInterface",
-    "HeightPartials",
-    "apparent_height",
-    "apparent_height_partials",
-    "lift_points",
-    "refract_rays",
-    "screening_height",
-    "solve_refrax",
-    "water_index",
-]
+    "FRESH_WATER", "SEA_WATER", "FlatInterface", "HeightPartials", "apparent_height", "apparent_height_partials",
+    "lift_points", "refract_rays", "screening_height", "solve_refrax", "water_index",
+]  # fmt: skip

@@ -34,11 +34,10 @@ class FlatInterface:
     `plane` is the first surface that a ray from the camera meets, its normal pointing to the camera's side; by
     default z = 0 with the camera above. Points on the camera's side, and on that surface, are seen straight.
 
-    Two media: index_ratio = n_water / n_air, at least 1, the camera in the rarer. 1 is no interface at all.
-    Any media: `layers`, refractive indices of at least 1 from the camera's medium to the last one, of which only the
-    ratios matter, with the `thickness` (length unit of the scene) of each layer between the first and the last:
-    (1.0, 1.52, 1.333) with (0.01,) is an aquarium wall, (1.333, 1.0) a diver who looks out. `index_ratio` then is
-    last / first.
+    Two media: index_ratio = n_water / n_air, at least 1, the camera in the rarer. 1 is no interface at all. Any media:
+    `layers`, refractive indices of at least 1 from the camera's medium to the last one, of which only the ratios
+    matter, with the `thickness` (length unit of the scene) of each layer between the first and the last: (1.0, 1.52,
+    1.333) with (0.01,) is an aquarium wall, (1.333, 1.0) a diver who looks out. `index_ratio` then is last / first.
 
     moves_with_camera: the plane is fixed to the camera and given in its frame (x right, y down, z forward), as for a
     flat port. Each value is a number or a tensor that broadcasts against the camera's batch. Raises ValueError,
@@ -65,7 +64,8 @@ class FlatInterface:
         else:
             _require_all(layers, "layers", at_least=1.0)
             index_ratio = layers[-1] / layers[0]
-            if self.index_ratio is not None and not _equal(self.index_ratio, index_ratio):
+            given = self.index_ratio
+            if given is not None and not holds_everywhere(torch.as_tensor(given) == torch.as_tensor(index_ratio)):
                 raise ValueError("index_ratio and layers disagree, but only one of them must be given")
         thickness, wanted = _tuple_of(self.thickness), 0 if layers is None else len(layers) - 2
         if len(thickness) != wanted:
@@ -85,12 +85,8 @@ class FlatInterface:
         moves_with_camera: bool = False,
     ) -> "FlatInterface":
         """Air, glass, water: an aquarium seen through its wall. `plane` is the dry face of the glass."""
-        return cls(
-            layers=(1.0, glass_index, index_ratio),
-            thickness=(glass_thickness,),
-            plane=plane,
-            moves_with_camera=moves_with_camera,
-        )
+        layers, thickness = (1.0, glass_index, index_ratio), (glass_thickness,)
+        return cls(layers=layers, thickness=thickness, plane=plane, moves_with_camera=moves_with_camera)
 
     @classmethod
     def flat_port(
@@ -171,14 +167,9 @@ class FlatInterface:
 
     def _with_each(self, change: Callable[[Any], Any], plane: Plane) -> "FlatInterface":
         layers = None if self.layers is None else tuple(change(n) for n in self.indices)
-        return FlatInterface(
-            index_ratio=change(self.index_ratio) if layers is None else layers[-1] / layers[0],
-            layers=layers,
-            thickness=tuple(change(d) for d in self.thickness),
-            plane=plane,
-            moves_with_camera=self.moves_with_camera,
-            check=False,
-        )
+        ratio = change(self.index_ratio) if layers is None else layers[-1] / layers[0]
+        thickness = tuple(change(d) for d in self.thickness)
+        return FlatInterface(ratio, layers, thickness, plane, self.moves_with_camera, check=False)
 
 
 def parameter_dims(parameters: Sequence[Parameter]) -> tuple[int, ...]:
@@ -201,7 +192,3 @@ def _require_all(values: Sequence[Unchecked], name: str, at_least: float) -> Non
     for value in values:
         require_floating(value, name)
         require(value, name, at_least=at_least)
-
-
-def _equal(a: Number, b: Number) -> bool:
-    return holds_everywhere(torch.as_tensor(a) == torch.as_tensor(b))

@@ -42,11 +42,7 @@ class HeightPartials(NamedTuple):
 
 
 def apparent_slope(
-    distance_sq: Part,
-    clear: Part,
-    thickness: Sequence[Part],
-    index: Sequence[Part],
-    method: Method = "halley",
+    distance_sq: Part, clear: Part, thickness: Sequence[Part], index: Sequence[Part], method: Method = "halley"
 ) -> Float[Tensor, "*batch"]:
     """s, the tangent of the ray's angle in the rarest medium over the horizontal distance.
 
@@ -65,11 +61,7 @@ def apparent_slope(
 
 
 def apparent_height(
-    distance_sq: Part,
-    clear: Part,
-    thickness: Sequence[Part],
-    index: Sequence[Part],
-    method: Method = "halley",
+    distance_sq: Part, clear: Part, thickness: Sequence[Part], index: Sequence[Part], method: Method = "halley"
 ) -> Float[Tensor, "*batch"]:
     """G = 1/s, how far below a camera in the rarest medium the point appears to be; see `apparent_slope`."""
     return apparent_slope(distance_sq, clear, thickness, index, method).reciprocal()

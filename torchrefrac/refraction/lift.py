@@ -6,6 +6,8 @@ looks along `offset` completes the exact projection (Chang & Chen, ICCV 2011, Eq
 """
 
 from collections.abc import Sequence
+from functools import reduce
+from operator import and_
 from typing import NamedTuple
 
 import torch
@@ -102,21 +104,10 @@ def look(center: Triple, point: Triple, parameters: Sequence[Parameter]) -> Sigh
         rest = rest - d
     thickness.append(torch.where(bent & (rest > 0), rest, 0.0))
     ends_here.append(rest > 0)
-    return Sight(
-        center=center,
-        point=point,
-        normal=n,
-        height=height,
-        beyond=beyond,
-        along=along,
-        horizontal=horizontal,
-        distance_sq=triples.dot(horizontal, horizontal),
-        bent=bent,
-        safe_height=torch.where(bent, height, 1.0),
-        thickness=thickness,
-        indices=[n_i / first for n_i in index],
-        ends_here=ends_here,
-    )
+    distance_sq, safe_height = triples.dot(horizontal, horizontal), torch.where(bent, height, 1.0)
+    indices = [n_i / first for n_i in index]
+    lengths = (height, beyond, along, horizontal, distance_sq, bent, safe_height)
+    return Sight(center, point, n, *lengths, thickness, indices, ends_here)
 
 
 def solve_height(sight: Sight, camera_in_rarest: bool) -> Float[Tensor, "*batch"]:
@@ -130,11 +121,9 @@ def solve_height_with_partials(sight: Sight, camera_in_rarest: bool) -> Lift:
     apparent, terms, reference = _solve(sight, camera_in_rarest)
     partials = apparent_height_partials(apparent, *terms)
     height = _seen_from_camera(sight, apparent, reference)
-    if reference is None:
-        by_height, by_layer, by_index = partials.by_clear, list(partials.by_thickness), list(partials.by_index)
-        by_distance_sq = partials.by_distance_sq
-    else:
-        by_height, by_layer, by_index, by_distance_sq = _chain(partials, sight, apparent, height, reference)
+    by_distance_sq, by_height, by_layer, by_index = (
+        partials if reference is None else _chain(partials, sight, apparent, height, reference)
+    )
     by_depth = sum(torch.where(here, by, 0.0) for here, by in zip(sight.ends_here, by_layer, strict=True))
     assert isinstance(by_depth, Tensor)
     return Lift(
@@ -178,18 +167,17 @@ def _seen_from_camera(sight: Sight, apparent: Part, reference: Part | None) -> F
     return (reference.square() * apparent.square() + excess * sight.distance_sq).sqrt()
 
 
-def _chain(
-    partials: HeightPartials, sight: Sight, apparent: Part, height: Part, reference: Part
-) -> tuple[Part, list[Part], list[Part], Part]:
+def _chain(partials: HeightPartials, sight: Sight, apparent: Part, height: Part, reference: Part) -> HeightPartials:
     """From derivatives of G to those of H = sqrt(n_0^2 G^2 + (n_0^2 - 1) D), n_0 = `reference`.
 
     H depends on ratios of indices only, so its derivative in n_i / n_0 is n_0 times that in n_i.
     """
     slope = reference.square() * apparent / height
     by_height, *by_layer = (slope * by for by in partials.by_thickness)
-    by_index = [reference * slope * by for by in partials.by_index[1:]]
+    by_index = tuple(reference * slope * by for by in partials.by_index[1:])
     excess = (reference - 1.0) * (reference + 1.0)
-    return by_height, by_layer, by_index, slope * partials.by_distance_sq + 0.5 * excess / height
+    by_distance_sq = slope * partials.by_distance_sq + 0.5 * excess / height
+    return HeightPartials(by_distance_sq, by_height, tuple(by_layer), by_index)
 
 
 def _finish(sight: Sight, height: Part) -> Float[Tensor, "*batch"]:
@@ -200,7 +188,4 @@ def _finish(sight: Sight, height: Part) -> Float[Tensor, "*batch"]:
 
 
 def _same_media(sight: Sight) -> Bool[Tensor, "*batch"]:
-    same = sight.indices[0] == 1.0
-    for n in sight.indices[1:]:
-        same = same & (n == 1.0)
-    return same
+    return reduce(and_, (n == 1.0 for n in sight.indices))

@@ -11,10 +11,9 @@ from torchrefrac.numerics import real_roots
 def refrax_ratio_companion(height: Part, depth: Part, distance_sq: Part, index_ratio: Part) -> Float[Tensor, "*batch"]:
     """Refrax ratio from Eq. 4 of Chang & Chen (ICCV 2011), with +h^2 as its constant term.
 
-    Solved for mu = 1/lambda: h^2 mu^4 - 2 h^2 mu^3 + (N a^2 + h^2 - d^2/n^2) mu^2 - 2 N a^2 mu + N a^2 = 0 with
-    N = 1 - 1/n^2 and D = a^2. Its leading coefficient never vanishes, whereas that of Eq. 4 does at nadir
-    and at index ratio 1. Squaring Snell's law added roots: of those with mu >= 1 the one that
-    fulfils the unsquared law best is taken.
+    Solved for mu = 1/lambda: h^2 mu^4 - 2 h^2 mu^3 + (N a^2 + h^2 - d^2/n^2) mu^2 - 2 N a^2 mu + N a^2 = 0 with N = 1 -
+    1/n^2 and D = a^2. Its leading coefficient never vanishes, whereas that of Eq. 4 does at nadir and at index ratio 1.
+    Squaring Snell's law added roots: of those with mu >= 1 the one that fulfils the unsquared law best is taken.
     """
     ratio_d = depth / height
     n_a_sq = (1.0 - index_ratio.square().reciprocal()) * distance_sq / height.square()

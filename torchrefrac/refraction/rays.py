@@ -51,7 +51,6 @@ def refract_rays(
         )
 
     parameters = interface.parameters(direction)
-    center, direction, valid = in_blocks(
-        refract, (center, direction, *parameters), (1, 1, *parameter_dims(parameters)), (1, 1, 0)
-    )
+    dims = (1, 1, *parameter_dims(parameters))
+    center, direction, valid = in_blocks(refract, (center, direction, *parameters), dims, (1, 1, 0))
     return center, direction, valid

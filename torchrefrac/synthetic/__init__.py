@@ -6,15 +6,6 @@ from torchrefrac.synthetic.scenes import CansOptions, MeshOptions, RiverbedOptio
 from torchrefrac.synthetic.stage import StageError
 
 __all__ = [
-    "CameraOptions",
-    "CansOptions",
-    "InertialOptions",
-    "MeshOptions",
-    "RiverbedOptions",
-    "SensorOptions",
-    "StageError",
-    "SyntheticOptions",
-    "TankOptions",
-    "WaveOptions",
-    "made_scene",
-]
+    "CameraOptions", "CansOptions", "InertialOptions", "MeshOptions", "RiverbedOptions", "SensorOptions", "StageError",
+    "SyntheticOptions", "TankOptions", "WaveOptions", "made_scene",
+]  # fmt: skip

@@ -8,8 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.geometry import so3_exp, split_heading
-from torchrefrac.synthetic.options import InertialOptions, SyntheticOptions
-from torchrefrac.synthetic.seeds import seeded
+from torchrefrac.synthetic.options import InertialOptions, SyntheticOptions, seeded
 
 LEAST_SIGMA_DEG = 0.05
 MOST_SIGMA_DEG = 30.0
@@ -33,8 +32,7 @@ def measure_attitude(rotation: Float[Tensor, "m 3 3"], options: SyntheticOptions
     True gravity departs from the perpendicular of the water by `plane_tilt_deg`, the same way for all images; what is
     measured departs from it by the bias, in the camera's frame, and by an error of each image's own.
     """
-    inertial = options.inertial
-    count = len(rotation)
+    inertial, count = options.inertial, len(rotation)
     tilt = so3_exp(torch.tensor((*options.plane_tilt_deg, 0.0), dtype=torch.float64).deg2rad())
     true_down, heading = split_heading(rotation @ tilt)
     bias = so3_exp(torch.tensor((*inertial.gravity_bias_deg, 0.0), dtype=torch.float64).deg2rad())

@@ -1,26 +1,27 @@
 """The folder of a made scene: photographs, what its user would know, and the truth."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
-from torch import Tensor
+from jaxtyping import UInt8
 
 from torchrefrac.atomic import replacing
 from torchrefrac.camera import Intrinsics
 from torchrefrac.files.capture import FORMAT as CAPTURE_FORMAT
+from torchrefrac.files.capture import intrinsics_content
 from torchrefrac.files.mesh import write_mesh
 from torchrefrac.files.survey import FORMAT as SURVEY_FORMAT
+from torchrefrac.files.truth import POINTS_FILE
 from torchrefrac.geometry.surfaces import Rectangle
-from torchrefrac.synthetic.attitude import Attitude
+from torchrefrac.recorder import Recorder
+from torchrefrac.synthetic.attitude import Attitude, measure_attitude, measure_positions
 from torchrefrac.synthetic.options import SyntheticOptions
-from torchrefrac.synthetic.photograph import Photographer
-from torchrefrac.synthetic.stage import Piece, Stage
+from torchrefrac.synthetic.photograph import Photographer, develop
+from torchrefrac.synthetic.stage import Stage, StageError
 
 TRUTH_FORMAT = "torchrefrac-truth/1"
 SCENE_FORMAT = "torchrefrac-scene/1"
@@ -35,6 +36,44 @@ def image_names(count: int) -> tuple[str, ...]:
     return tuple(f"cam{i:0{digits}d}.png" for i in range(count))
 
 
+def render_into(
+    folder: Path, photographer: Photographer, options: SyntheticOptions, version: int, recorder: Recorder
+) -> None:
+    """Write all files of a scene; images that are there already are whole, and stay.
+
+    Raises StageError where by its measured gravity a camera looks at the sky: captures of these are refused.
+    """
+    stage = photographer.stage
+    for left_over in folder.glob("**/.*.partial.*"):
+        left_over.unlink()
+    names = image_names(len(stage.center))
+    attitude = measure_attitude(stage.rotation, options)
+    for name, depth in zip(names, attitude.down_in_cam[:, 2].tolist(), strict=True):
+        if depth <= 0.0:
+            raise StageError(
+                f"scene {options.name}: by its measured gravity {name} looks at the sky; point the cameras further "
+                "down, or give smaller errors in inertial"
+            )
+    capture = _capture(stage, options, photographer.intrinsics, attitude)
+    sigma = stage.position_sigma
+    if sigma is not None:
+        positions = dict(zip(names, measure_positions(stage.center, sigma, options.seed).tolist(), strict=True))
+        for image in capture["images"]:
+            image["center_prior"] = positions[image["name"]]
+        measured = {name: {"center": position, "center_sigma": sigma} for name, position in positions.items()}
+        _write_json({"format": SURVEY_FORMAT, "images": measured}, folder / "survey.json")
+    scene = {"format": SCENE_FORMAT, "version": version, "options": options.fingerprint()}
+    _write_json(scene, folder / "scene.json")
+    _write_json(capture, folder / "capture.json")
+    _write_json(_truth(stage, options, attitude), folder / "truth.json")
+    for image, name in recorder.track(enumerate(names), len(names), f"rendering {options.label}", "image"):
+        path = folder / "images" / name
+        if not path.is_file():
+            write_photograph(develop(photographer.take(image), options.sensor, options.seed, image), path)
+    _write_truth_points(photographer, folder / POINTS_FILE)
+    _write_surface(stage, folder / SURFACE_FILE)
+
+
 def write_photograph(image: UInt8[np.ndarray, "height width 3"], path: Path) -> None:
     """Write RGB as PNG."""
     _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
@@ -42,96 +81,65 @@ def write_photograph(image: UInt8[np.ndarray, "height width 3"], path: Path) -> 
         temporary.write_bytes(encoded.tobytes())
 
 
-def write_json(content: dict[str, Any], path: Path) -> None:
+def _write_json(content: dict[str, Any], path: Path) -> None:
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
 
 
-def capture_content(
-    stage: Stage,
-    options: SyntheticOptions,
-    intrinsics: Intrinsics,
-    attitude: Attitude,
-    positions: Float[Tensor, "m 3"] | None,
-) -> dict[str, Any]:
+def _capture(stage: Stage, options: SyntheticOptions, intrinsics: Intrinsics, attitude: Attitude) -> dict[str, Any]:
     """`capture.json`: the index ratio is the true one, only the first height above the water is measured."""
     images: list[dict[str, Any]] = []
-    focal, principal_point = intrinsics.focal.tolist(), intrinsics.principal_point.tolist()
     for i, name in enumerate(image_names(len(stage.center))):
         image: dict[str, Any] = {"name": name, "down_in_cam": attitude.down_in_cam[i].tolist()}
         if attitude.heading is not None:
             image["heading_deg"] = float(attitude.heading[i].rad2deg())
         if i == 0:
             image["height"] = float(stage.center[i, 2])
-        if positions is not None:
-            image["center_prior"] = positions[i].tolist()
         images.append(image)
     return {
-        "format": CAPTURE_FORMAT,
-        "length_unit": stage.length_unit,
-        "index_ratio": options.index_ratio,
-        "pixel_origin": "corner",
-        "intrinsics": {
-            "width": intrinsics.width,
-            "height": intrinsics.height,
-            **dict(zip(("fx", "fy", "cx", "cy"), (*focal, *principal_point), strict=True)),
-            "distortion": intrinsics.distortion.tolist(),
-        },
-        "down_in_cam_sigma_deg": attitude.sigma_deg,
-        "images": images,
+        **{"format": CAPTURE_FORMAT, "length_unit": stage.length_unit, "index_ratio": options.index_ratio},
+        **{"pixel_origin": "corner", "intrinsics": intrinsics_content(intrinsics)},
+        **{"down_in_cam_sigma_deg": attitude.sigma_deg, "images": images},
     }
 
 
-def truth_content(stage: Stage, options: SyntheticOptions, attitude: Attitude) -> dict[str, Any]:
+def _truth(stage: Stage, options: SyntheticOptions, attitude: Attitude) -> dict[str, Any]:
     """`truth.json`: cameras, the planes on which flatness can be measured, index ratio and the surface's file."""
+    cameras = zip(image_names(len(stage.center)), stage.rotation, stage.center, attitude.true_down, strict=True)
     return {
-        "format": TRUTH_FORMAT,
-        "length_unit": stage.length_unit,
-        "index_ratio": options.index_ratio,
+        **{"format": TRUTH_FORMAT, "length_unit": stage.length_unit, "index_ratio": options.index_ratio},
         "surface": SURFACE_FILE,
         "images": [
             {
-                "name": name,
-                "cam_from_world_rotation": stage.rotation[i].tolist(),
-                "center_in_world": stage.center[i].tolist(),
-                "down_in_cam": attitude.true_down[i].tolist(),
+                **{"name": name, "cam_from_world_rotation": rotation.tolist(), "center_in_world": center.tolist()},
+                "down_in_cam": down.tolist(),
             }
-            for i, name in enumerate(image_names(len(stage.center)))
+            for name, rotation, center, down in cameras
         ],
         "planes": [
             {
-                "name": piece.name,
-                "origin": piece.surface.corner.tolist(),
-                "e1": piece.surface.edge1.tolist(),
-                "e2": piece.surface.edge2.tolist(),
+                **{"name": stage.pieces[i].name, "origin": plane.corner.tolist()},
+                **{"e1": plane.edge1.tolist(), "e2": plane.edge2.tolist()},
             }
-            for piece in stage.pieces
-            if isinstance(piece.surface, Rectangle) and piece.is_plane
+            for i, plane in _planes(stage).items()
         ],
     }
 
 
-def survey_content(positions: Float[Tensor, "m 3"], sigma: float) -> dict[str, Any]:
-    """`survey.json`: the satellite positions of all images."""
-    names = image_names(len(positions))
-    return {
-        "format": SURVEY_FORMAT,
-        "images": {name: {"center": positions[i].tolist(), "center_sigma": sigma} for i, name in enumerate(names)},
-    }
+def _planes(stage: Stage) -> dict[int, Rectangle]:
+    """The pieces that are planes of truth.json, by their index."""
+    surfaces = ((i, piece.surface) for i, piece in enumerate(stage.pieces) if piece.is_plane)
+    return {i: surface for i, surface in surfaces if isinstance(surface, Rectangle)}
 
 
-def options_content(options: SyntheticOptions, version: int) -> dict[str, Any]:
-    """`scene.json`: what decides everything in the folder."""
-    return {"format": SCENE_FORMAT, "version": version, "options": options.fingerprint()}
-
-
-def write_truth_points(photographer: Photographer, path: Path) -> None:
+def _write_truth_points(photographer: Photographer, path: Path) -> None:
     """Write `truth_points.npz`: what every fourth pixel of every fourth row truly sees, at its centre."""
     stage, intrinsics = photographer.stage, photographer.intrinsics
     columns, rows = (range(min(OFFSET, size - 1), size, STEP) for size in (intrinsics.width, intrinsics.height))
     x, y = (torch.tensor(numbers, dtype=torch.float64) + 0.5 for numbers in (columns, rows))
     pixels = torch.stack((x.expand(len(rows), -1), y[:, None].expand(-1, len(columns))), dim=-1).flatten(0, 1)
-    plane_of_piece = torch.tensor([*_plane_numbers(stage.pieces), -1])
+    planes, plane_of_piece = _planes(stage), torch.full((len(stage.pieces) + 1,), -1)
+    plane_of_piece[list(planes)] = torch.arange(len(planes))
     points = np.empty((len(stage.center), len(rows), len(columns), 3), dtype=np.float32)
     plane = np.empty(points.shape[:3], dtype=np.int16)
     for image in range(len(points)):
@@ -142,27 +150,11 @@ def write_truth_points(photographer: Photographer, path: Path) -> None:
         np.savez_compressed(temporary, X=points, plane=plane, step=np.array(STEP), offset=np.array(float(OFFSET)))
 
 
-def write_surface(stage: Stage, path: Path) -> None:
+def _write_surface(stage: Stage, path: Path) -> None:
     """Write the triangles of all pieces."""
     import trimesh  # noqa: PLC0415 - slow to import
 
-    vertices: list[Tensor] = []
-    faces: list[Tensor] = []
-    count = 0
-    for piece in stage.pieces:
-        own_vertices, own_faces = piece.surface.triangles()
-        vertices.append(own_vertices)
-        faces.append(own_faces + count)
-        count += len(own_vertices)
-    write_mesh(trimesh.Trimesh(torch.cat(vertices).numpy(), torch.cat(faces).numpy(), process=False), path)
-
-
-def _plane_numbers(pieces: Sequence[Piece]) -> list[int]:
-    """For each piece its index among the planes of truth.json, -1 where it is none."""
-    numbers: list[int] = []
-    count = 0
-    for piece in pieces:
-        is_plane = piece.is_plane and isinstance(piece.surface, Rectangle)
-        numbers.append(count if is_plane else -1)
-        count += is_plane
-    return numbers
+    vertices, faces = zip(*(piece.surface.triangles() for piece in stage.pieces), strict=True)
+    first = np.cumsum([0, *map(len, vertices[:-1])]).tolist()
+    faces = torch.cat([own + start for own, start in zip(faces, first, strict=True)])
+    write_mesh(trimesh.Trimesh(torch.cat(vertices).numpy(), faces.numpy(), process=False), path)

@@ -6,31 +6,17 @@ import json
 import os
 import re
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from torchrefrac.files.truth_points import FILE as POINTS_FILE
 from torchrefrac.recorder import Recorder, SilentRecorder
-from torchrefrac.synthetic.attitude import measure_attitude, measure_positions
-from torchrefrac.synthetic.folder import (
-    SURFACE_FILE,
-    capture_content,
-    image_names,
-    options_content,
-    survey_content,
-    truth_content,
-    write_json,
-    write_photograph,
-    write_surface,
-    write_truth_points,
-)
+from torchrefrac.synthetic.folder import image_names, render_into
 from torchrefrac.synthetic.options import SyntheticOptions
 from torchrefrac.synthetic.photograph import Photographer
 from torchrefrac.synthetic.rehearsal import rehearse
 from torchrefrac.synthetic.scenes import stage_of
-from torchrefrac.synthetic.sensor import develop
 from torchrefrac.synthetic.stage import Stage, StageError
 
 VERSION = 1
@@ -46,17 +32,14 @@ def made_scene(options: SyntheticOptions, cache: Path | None = None, recorder: R
     By default `cache` is the folder of the environment variable TORCHREFRAC_CACHE, or torchrefrac/ in the user's cache.
     Raises StageError, one sentence with the remedy, where the scene cannot be made or written.
     """
-    cache = cache or default_cache()
+    cache = cache or _default_cache()
     folder = scene_folder(options, cache)
     return folder if folder.is_dir() else render_scene(stage_of(options), options, cache, recorder or SilentRecorder())
 
 
-def default_cache() -> Path:
-    """Where made scenes are kept by default."""
+def _default_cache() -> Path:
     given = os.environ.get("TORCHREFRAC_CACHE")
-    if given:
-        return Path(given)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchrefrac"
+    return Path(given) if given else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchrefrac"
 
 
 def scene_folder(options: SyntheticOptions, cache: Path) -> Path:
@@ -77,66 +60,26 @@ def render_scene(stage: Stage, options: SyntheticOptions, cache: Path, recorder:
     folder cannot be written.
     """
     folder = scene_folder(options, cache)
-    if folder.is_dir():
-        return folder
     photographer = Photographer.of(stage, options)
-    names = image_names(len(stage.center))
-    rehearse(photographer, options, names)
+    rehearse(photographer, options, image_names(len(stage.center)))
     with _explained(folder, cache):
         cache.mkdir(parents=True, exist_ok=True)
         with _alone(folder, recorder):
             if not folder.is_dir():
                 partial = folder.with_name(f"{folder.name}.partial")
-                _render(photographer, options, partial, recorder)
+                render_into(partial, photographer, options, VERSION, recorder)
                 partial.rename(folder)
     return folder
 
 
-def _render(photographer: Photographer, options: SyntheticOptions, folder: Path, recorder: Recorder) -> None:
-    stage = photographer.stage
-    for left_over in folder.glob("**/.*.partial.*"):
-        left_over.unlink()
-    attitude = measure_attitude(stage.rotation, options)
-    _check_gravity(attitude.down_in_cam[:, 2].tolist(), options)
-    positions = None
-    if stage.position_sigma is not None:
-        positions = measure_positions(stage.center, stage.position_sigma, options.seed)
-        write_json(survey_content(positions, stage.position_sigma), folder / "survey.json")
-    write_json(options_content(options, VERSION), folder / "scene.json")
-    write_json(capture_content(stage, options, photographer.intrinsics, attitude, positions), folder / "capture.json")
-    write_json(truth_content(stage, options, attitude), folder / "truth.json")
-    names = image_names(len(stage.center))
-    for image, name in recorder.track(enumerate(names), len(names), f"rendering {options.label}", "image"):
-        path = folder / "images" / name
-        if not path.is_file():
-            write_photograph(develop(photographer.take(image), options.sensor, options.seed, image), path)
-    write_truth_points(photographer, folder / POINTS_FILE)
-    write_surface(stage, folder / SURFACE_FILE)
-
-
-def _check_gravity(depths: list[float], options: SyntheticOptions) -> None:
-    """Captures of cameras that look at the sky are refused; better before than after rendering."""
-    for name, depth in zip(image_names(len(depths)), depths, strict=True):
-        if depth <= 0.0:
-            raise StageError(
-                f"scene {options.name}: by its measured gravity {name} looks at the sky; point the cameras further "
-                "down, or give smaller errors in inertial"
-            )
-
-
-@contextmanager
-def _alone(folder: Path, recorder: Recorder) -> Generator[None, None, None]:
+def _alone(folder: Path, recorder: Recorder) -> AbstractContextManager[object]:
     """Wait until no other process renders this scene."""
     lock = FileLock(folder.with_name(f".{folder.name}.lock"))
     try:
-        lock.acquire(timeout=0)
+        return lock.acquire(timeout=0)
     except Timeout:
         recorder.note(f"another process is rendering {folder.name}; waiting for it")
-        lock.acquire()
-    try:
-        yield
-    finally:
-        lock.release()
+        return lock.acquire()
 
 
 @contextmanager

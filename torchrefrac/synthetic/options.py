@@ -1,13 +1,19 @@
-"""What decides how a made scene is photographed. What decides the scene itself stands with each scene."""
+"""What decides how a made scene is photographed, down to its random numbers. What decides the scene itself stands with
+each scene."""
 
+import hashlib
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
+
+import torch
 
 from torchrefrac.checks import require, require_between
 from torchrefrac.files.capture import MAX_INDEX_RATIO
 
 MAX_SAMPLES = 16
+MAX_IMAGES = 500
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,9 +83,8 @@ class InertialOptions:
     def __post_init__(self) -> None:
         require_between(self.gravity_sigma_deg, "gravity_sigma_deg", 0.0, 30.0, "degrees")
         if len(self.gravity_bias_deg) != 2 or not all(abs(turn) <= 30.0 for turn in self.gravity_bias_deg):
-            raise ValueError(
-                f"gravity_bias_deg is {list(self.gravity_bias_deg)}, but must be two angles up to 30 degrees"
-            )
+            given = list(self.gravity_bias_deg)
+            raise ValueError(f"gravity_bias_deg is {given}, but must be two angles up to 30 degrees")
         if self.heading_sigma_deg is not None:
             require(self.heading_sigma_deg, "heading_sigma_deg", at_least=0.0)
 
@@ -118,3 +123,23 @@ class SyntheticOptions:
         if len(self.plane_tilt_deg) != 2 or not all(abs(turn) <= 45.0 for turn in self.plane_tilt_deg):
             raise ValueError(f"plane_tilt_deg is {list(self.plane_tilt_deg)}, but must be two angles up to 45 degrees")
         require_between(self.reflection, "reflection", 0.0, 255.0)
+
+
+def require_images(images: int) -> None:
+    """Refuse too few photographs to reconstruct from, and more than anyone means to render."""
+    require_between(images, "images", 2, MAX_IMAGES)
+
+
+def require_heights(heights: Sequence[float]) -> None:
+    """Refuse cameras that do not stand above the water."""
+    if not heights:
+        raise ValueError("heights is empty, but must be one or more heights above the water, taken in turn")
+    for height in heights:
+        require(height, "heights", above=0.0)
+
+
+def seeded(seed: int, *purpose: str | int) -> torch.Generator:
+    """A generator that depends on nothing but the seed and what it is for."""
+    words = "/".join(str(word) for word in (seed, *purpose))
+    number = int.from_bytes(hashlib.sha256(words.encode("utf-8")).digest()[:8], "little")
+    return torch.Generator().manual_seed(number & (2**63 - 1))

@@ -45,10 +45,8 @@ def ring(
     They divide the sector (degrees, from +x towards +y) evenly; one of 360 degrees is not closed twice.
     """
     first, last = (math.radians(angle) for angle in sector_deg)
-    closed = math.isclose(abs(last - first), 2.0 * math.pi)
-    angle = first + (last - first) * torch.arange(images, dtype=torch.float64) / max(
-        images if closed else images - 1, 1
-    )
+    steps = images if math.isclose(abs(last - first), 2.0 * math.pi) else images - 1
+    angle = first + (last - first) * torch.arange(images, dtype=torch.float64) / max(steps, 1)
     across, along = (radius, radius) if isinstance(radius, int | float) else radius
     level = torch.tensor([heights[i % len(heights)] for i in range(images)], dtype=torch.float64)
     return torch.stack((across * angle.cos(), along * angle.sin(), level), dim=-1)

@@ -91,8 +91,7 @@ def grass(size: tuple[int, int], seed: int, *, blade: float = 60.0) -> Colours:
     """Blades, about `blade` texels long, fresh and dry, the lower ones in the dark, and some small leaves."""
     rng = np.random.default_rng(seed)
     height, width = size
-    image = np.empty((height, width, 3), dtype=np.uint8)
-    image[:] = (34, 36, 22)
+    image = np.full((height, width, 3), (34, 36, 22), dtype=np.uint8)
     count = int(22.0 * height * width / blade**2)
     start = rng.random((count, 2)) * (width, height)
     angle = rng.uniform(0.0, 2 * np.pi, count)

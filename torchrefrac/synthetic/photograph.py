@@ -1,20 +1,21 @@
-"""One photograph of a stage, before the sensor has its part in it."""
+"""One photograph of a stage: the light, and what the optics and the sensor make of it."""
 
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
+import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Float32, Int, UInt8
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry.surfaces import by_component
 from torchrefrac.parallel import side_by_side
-from torchrefrac.synthetic.fresnel import reflectance
-from torchrefrac.synthetic.options import SyntheticOptions
+from torchrefrac.synthetic.options import SensorOptions, SyntheticOptions, seeded
 from torchrefrac.synthetic.sight import Scenery, Sight
 from torchrefrac.synthetic.stage import Stage
-from torchrefrac.synthetic.waves import Waves
+from torchrefrac.synthetic.waves import Waves, reflectance
 
 TILE_RAYS = 1 << 15  # so many that their tensors stay in the processor's cache
 READY_BYTES = 1 << 29  # of rays that need not be undistorted again for every image
@@ -112,3 +113,20 @@ class Photographer:
         towards = torch.nn.functional.normalize(torch.tensor(self.stage.towards_light, dtype=normal.dtype), dim=-1)
         light = self.stage.ambient + self.stage.direct * (normal @ towards).abs()
         return light[:, None].float()
+
+
+def develop(
+    light: Float32[Tensor, "height width 3"], options: SensorOptions, seed: int, image: int
+) -> UInt8[np.ndarray, "height width 3"]:
+    """The photograph, RGB, of colours from 0 to 255.
+
+    A Gaussian spot of the optics, Gaussian noise of each grey value, rounded. The noise depends on the seed and the
+    number of the image alone, so that images may be made in any order.
+    """
+    if options.blur > 0.0:
+        size = 2 * max(1, round(4.0 * options.blur)) + 1
+        blurred = cv2.GaussianBlur(light.numpy(), (size, size), options.blur, borderType=cv2.BORDER_REFLECT_101)
+        light = torch.from_numpy(blurred)
+    if options.noise > 0.0:
+        light = light + options.noise * torch.randn(light.shape, generator=seeded(seed, "noise", image))
+    return light.round().clamp(0.0, 255.0).to(torch.uint8).numpy()

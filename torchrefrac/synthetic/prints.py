@@ -20,16 +20,15 @@ def label(
     """A packet's print: `words` in large letters, bands, blocks of small print, a picture and a bar code."""
     rng = np.random.default_rng(seed)
     height, width = size
-    image = np.empty((height, width, 3), dtype=np.float32)
-    image[:] = ground
+    image = np.full((height, width, 3), ground, dtype=np.float32)
     image *= 1.0 + 0.13 * noise(size, rng, finest=max(size) / 6, decay=0.6)[..., None]
     image = image.clip(0, 255).astype(np.uint8)
     unit = min(height, width)
     for _ in range(14):
         corner = rng.random(2) * (width, height)
-        reach = rng.uniform(0.06, 0.3, 2) * unit
+        left, top, right, bottom = np.rint((*corner, *(corner + rng.uniform(0.06, 0.3, 2) * unit))).astype(int)
         shade = np.asarray(ground) * rng.uniform(0.35, 1.6) + rng.normal(0, 30, 3)
-        _block(image, corner, reach, shade)
+        image[max(top, 0) : bottom, max(left, 0) : right] = shade.clip(0, 255)
     for _ in range(10):
         _picture(image, rng.random(2) * (width, height), rng.uniform(0.05, 0.14) * unit, rng)
     for row in np.arange(0.04, 0.98, 0.115):
@@ -76,9 +75,8 @@ def wood(size: tuple[int, int], seed: int, *, plank: float = 180.0) -> Colours:
     row = np.mgrid[:height, :width][0].astype(np.float32)
     number = (row / plank).astype(np.int32)
     planks = int(number.max()) + 1
-    along = cv2.resize(
-        noise((height, max(2, width // 16)), rng, decay=0.85), (width, height), interpolation=cv2.INTER_CUBIC
-    )
+    coarse = noise((height, max(2, width // 16)), rng, decay=0.85)
+    along = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
     wavy = noise(size, rng, finest=40.0, decay=0.6)
     rings = np.sin(row / 7.0 + 3.5 * wavy + rng.uniform(0, 60, planks).astype(np.float32)[number])
     tone = rng.normal(1.0, 0.13, planks).astype(np.float32)[number]
@@ -97,23 +95,14 @@ def tiles(size: tuple[int, int], seed: int, *, tile: float = 64.0) -> Colours:
     rng = np.random.default_rng(seed)
     height, width = size
     row, column = np.arange(height) / tile, np.arange(width) / tile
-    palette = np.array(
-        ((60, 122, 140), (96, 160, 158), (150, 190, 176), (44, 84, 120), (196, 204, 190), (84, 110, 104))
-    )
+    palette = (60, 122, 140), (96, 160, 158), (150, 190, 176), (44, 84, 120), (196, 204, 190), (84, 110, 104)
     which = rng.integers(len(palette), size=(int(row[-1]) + 1, int(column[-1]) + 1))
-    colours = palette[which] * rng.uniform(0.7, 1.25, (*which.shape, 1))
+    colours = np.array(palette)[which] * rng.uniform(0.7, 1.25, (*which.shape, 1))
     image = colours[row.astype(int)[:, None], column.astype(int)].astype(np.float32)
     image *= (1.0 + 0.15 * noise(size, rng, decay=1.0) + 0.10 * noise(size, rng, finest=tile / 2))[..., None]
     joint = ((row % 1.0) < 0.06)[:, None] | ((column % 1.0) < 0.06)
     image[joint] = np.array((92.0, 90.0, 84.0))
     return _worn(image, rng)
-
-
-def _block(
-    image: Colours, corner: Float[np.ndarray, " 2"], reach: Float[np.ndarray, " 2"], colour: Float[np.ndarray, " 3"]
-) -> None:
-    low, high = np.rint(corner).astype(int), np.rint(corner + reach).astype(int)
-    image[max(low[1], 0) : high[1], max(low[0], 0) : high[0]] = colour.clip(0, 255)
 
 
 def _picture(image: Colours, centre: Float[np.ndarray, " 2"], reach: float, rng: np.random.Generator) -> None:

@@ -21,8 +21,7 @@ def rehearse(photographer: Photographer, options: SyntheticOptions, names: Seque
     anything through the water.
     """
     stage, intrinsics = photographer.stage, photographer.intrinsics
-    grid = intrinsics.pixel_grid(ROWS, COLUMNS).flatten(0, 1)
-    width, height = intrinsics.width, intrinsics.height
+    grid, (width, height) = intrinsics.pixel_grid(ROWS, COLUMNS).flatten(0, 1), (intrinsics.width, intrinsics.height)
     corners = grid.new_tensor([[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]])
     pixels = torch.cat((grid, corners))
     error = (intrinsics.pixels_from_plane(intrinsics.plane_from_pixels(pixels)) - pixels).norm(dim=-1)
@@ -31,8 +30,7 @@ def rehearse(photographer: Photographer, options: SyntheticOptions, names: Seque
             f"camera.distortion is {list(options.camera.distortion)}, but such a lens shows a point of the scene at "
             "several places of the image; give smaller coefficients or a smaller camera.fov_deg"
         )
-    crest = photographer.scenery.crest
-    wet = 0
+    crest, wet = photographer.scenery.crest, 0
     for image, name in enumerate(names):
         height = float(stage.center[image, 2])
         if not height > crest:

@@ -79,8 +79,7 @@ class Scenery:
         entry, start = self._enter(center, directions)
         wet = self._nearest(self.below, start, entry.direction)
         wet = wet._replace(
-            length=torch.where(entry.valid, wet.length, torch.inf),
-            surface=torch.where(entry.valid, wet.surface, -1),
+            length=torch.where(entry.valid, wet.length, torch.inf), surface=torch.where(entry.valid, wet.surface, -1)
         )
         sight = Sight(start, entry.direction, wet.length, wet.surface, wet.uv, wet.normal, entry.valid, entry.cosine)
         if not self.above:
@@ -106,8 +105,7 @@ class Scenery:
         found = nearest([self.pieces[i].surface for i in chosen], origins, directions)
         if tuple(chosen) == tuple(range(len(self.pieces))):
             return found
-        number = torch.tensor((*chosen, -1))
-        return found._replace(surface=number[found.surface])
+        return found._replace(surface=torch.tensor((*chosen, -1))[found.surface])
 
 
 def see(

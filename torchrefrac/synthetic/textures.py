@@ -64,8 +64,7 @@ class SideBySide:
 
 @dataclass(frozen=True, eq=False)
 class VertexColours:
-    """Colours of each face's corners, interpolated over a mesh that has the texture coordinates of
-    `corner_uv`."""
+    """Colours of each face's corners, interpolated over a mesh that has the texture coordinates of `corner_uv`."""
 
     colours: Float32[Tensor, "f 3 3"]
 
@@ -77,8 +76,7 @@ class VertexColours:
 
 
 def corner_uv(faces: int) -> Float[Tensor, "vertices 2"]:
-    """Texture coordinates of a mesh whose faces share no vertices: they tell the face, and the
-    place in it."""
+    """Texture coordinates of a mesh whose faces share no vertices: they tell the face, and the place in it."""
     first = 2.0 * torch.arange(faces, dtype=torch.float64) + 0.5
     zero = torch.zeros_like(first)
     corners = ((first, zero), (first + 1.0, zero), (first, zero + 1.0))

@@ -1,4 +1,4 @@
-"""Small waves on the water: where rays meet them, and how they bend there."""
+"""Small waves on the water: where rays meet them, how they bend there, and how much light is mirrored."""
 
 import math
 from dataclasses import dataclass
@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchrefrac.synthetic.options import WaveOptions
-from torchrefrac.synthetic.seeds import seeded
+from torchrefrac.synthetic.options import WaveOptions, seeded
 
 SHORTEST = 0.125  # of the longest
 STEPS = 20
@@ -94,3 +93,15 @@ def bend(
     normals, towards the air, with `cosine` of incidence."""
     onward = (1.0 - (1.0 - cosine.square()) / index_ratio**2).sqrt()
     return direction / index_ratio + (cosine / index_ratio - onward)[:, None] * normal
+
+
+def reflectance(cosine: Float[Tensor, "*batch"], index_ratio: float) -> Float[Tensor, "*batch"]:
+    """Share of unpolarised light that is mirrored where it comes from air with `cosine` of incidence.
+
+    Fresnel's equations (Born & Wolf, Principles of Optics, section 1.5.2): the mean of both polarisations.
+    """
+    cosine = cosine.clamp(0.0, 1.0)
+    in_water = (1.0 - (1.0 - cosine.square()) / index_ratio**2).sqrt()
+    across = (cosine - index_ratio * in_water) / (cosine + index_ratio * in_water)
+    along = (index_ratio * cosine - in_water) / (index_ratio * cosine + in_water)
+    return 0.5 * (across.square() + along.square())

@@ -8,7 +8,8 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
-from torchrefrac.files.colmap.tables import NO_POINT, CameraRow, ImageTable, PointTable, intrinsics_of, row_of
+from torchrefrac.files.colmap import tables
+from torchrefrac.files.colmap.tables import AGAIN, CameraRow, ImageTable, PointTable
 from torchrefrac.geometry import Rigid, rotate
 from torchrefrac.geometry.rotation import quaternion_of
 from torchrefrac.scene import Interfaces, Observations, Scene, SceneError
@@ -27,14 +28,12 @@ def assemble(
     """Resolve the ids and check that the three files agree."""
     rows = {row.id: row for row in cameras}
     if len(rows) != len(cameras):
-        raise SceneError(f"{cameras_path} gives a camera id twice; export the model again")
+        raise SceneError(f"{cameras_path} gives a camera id twice; {AGAIN}")
     used = sorted(set(images.cameras.tolist()))
     for camera in used:
         if camera not in rows:
             name = images.names[int(np.argmax(images.cameras == camera))]
-            raise SceneError(
-                f"{images_path}: {name} has camera {camera}, which {cameras_path.name} lacks; export the model again"
-            )
+            raise SceneError(f"{images_path}: {name} has camera {camera}, which {cameras_path.name} lacks; {AGAIN}")
     order = _sorted_by_id(images.ids, images_path, "image")
     _check_images(images, images_path)
     feature, image, point = _observations(images, points, images_path, points_path)
@@ -46,7 +45,7 @@ def assemble(
     pixels = torch.from_numpy(images.pixels[feature[by_point]])
     return Scene.create(
         Rigid(rotation, -rotate(rotation.mT, torch.from_numpy(images.translations[order]))),
-        [intrinsics_of(rows[camera], cameras_path) for camera in used],
+        [tables.intrinsics_of(rows[camera], cameras_path) for camera in used],
         Interfaces.level(1.0),
         torch.from_numpy(points.positions[point_order]),
         Observations(torch.from_numpy(image[by_point]), torch.from_numpy(point[by_point]), pixels),
@@ -80,43 +79,38 @@ def _observations(
     place = np.searchsorted(images.ids, points.images, sorter=order)
     image = order[np.minimum(place, len(order) - 1)] if len(order) else np.zeros_like(place)
 
+    def record(i: int) -> str:
+        return f"feature {points.features[i]} of {images.names[image[i]]}"
+
     def refuse(wrong: Bool[np.ndarray, " k"], problem: Callable[[int], str]) -> None:
         if wrong.any():
             i = int(wrong.argmax())
-            raise SceneError(
-                f"{points_path}: the track of point {points.ids[point[i]]} has {problem(i)}; export the model again"
-            )
+            raise SceneError(f"{points_path}: the track of point {points.ids[point[i]]} has {problem(i)}; {AGAIN}")
 
     unknown = images.ids[image] != points.images if len(order) else np.ones(len(point), dtype=bool)
     refuse(unknown, lambda i: f"image {points.images[i]}, which {images_path.name} lacks")
     count = np.diff(images.starts)[image]
     refuse(
         (points.features < 0) | (points.features >= count),
-        lambda i: f"feature {points.features[i]} of {images.names[image[i]]}, which has {count[i]} of them",
+        lambda i: f"{record(i)}, which has {count[i]} of them",
     )
     feature = images.starts[image] + points.features
     shown = images.points[feature]
     refuse(
         shown != points.ids[point],
-        lambda i: (
-            f"feature {points.features[i]} of {images.names[image[i]]}, "
-            f"for which {images_path.name} has point {shown[i]}"
-        ),
+        lambda i: f"{record(i)}, for which {images_path.name} has point {shown[i]}",
     )
-    missed = images.points != NO_POINT
+    missed = images.points != tables.NO_POINT
     missed[feature] = False
     if missed.any():
         i = int(missed.argmax())
         name = images.names[int(np.searchsorted(images.starts, i, side="right")) - 1]
         raise SceneError(
-            f"{images_path}: {name} shows point {images.points[i]}, but {points_path.name} has no such point or "
-            "does not list the image in its track; export the model again"
+            f"{images_path}: {name} shows point {images.points[i]}, but {points_path.name} has no such point or does "
+            f"not list the image in its track; {AGAIN}"
         )
-
-    def record(i: int) -> str:
-        return f"{images.names[image[i]]} (feature {points.features[i]})"
-
-    _require_finite(images.pixels[feature], images_path, record, "pixel")
+    seen = images.pixels[feature]
+    _require_finite(seen, images_path, lambda i: f"{images.names[image[i]]} (feature {points.features[i]})", "pixel")
     return feature, image, point
 
 
@@ -132,9 +126,8 @@ def _sorted_by_id(ids: Rows, path: Path, kind: str) -> Rows:
     order = np.argsort(ids)
     repeated = np.diff(ids[order]) == 0
     if repeated.any():
-        raise SceneError(
-            f"{path} gives {kind} {ids[order][int(repeated.argmax())]} twice; ids must differ, export the model again"
-        )
+        twice = ids[order][int(repeated.argmax())]
+        raise SceneError(f"{path} gives {kind} {twice} twice; ids must differ, {AGAIN}")
     return order
 
 
@@ -176,7 +169,7 @@ def tables_of(scene: Scene, errors: Float[Tensor, "..."] | None) -> tuple[list[C
         images=image + 1,
         features=_ranks(by_image) - starts[image],
     )
-    return [row_of(scene.cameras[i], i + 1) for i in range(len(scene.cameras))], images, points
+    return [tables.row_of(scene.cameras[i], i + 1) for i in range(len(scene.cameras))], images, points
 
 
 def _array(values: Shaped[Tensor, "*shape"]) -> Shaped[np.ndarray, "*shape"]:

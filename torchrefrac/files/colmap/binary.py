@@ -7,24 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from torchrefrac.files.colmap.tables import (
-    MODEL_IDS,
-    MODELS,
-    OTHER_MODELS,
-    CameraRow,
-    ImageTable,
-    PointTable,
-    parameter_count,
-)
+from torchrefrac.files.colmap import tables
+from torchrefrac.files.colmap.tables import AGAIN, CameraRow, ImageTable, PointTable
 from torchrefrac.scene import SceneError
 
 COUNT = struct.Struct("<Q")
 CAMERA = struct.Struct("<IiQQ")
 IMAGE = struct.Struct("<I7dI")
 FEATURE = np.dtype([("pixel", "<f8", 2), ("point", "<i8")])
-POINT = np.dtype(
-    [("id", "<i8"), ("position", "<f8", 3), ("color", "u1", 3), ("error", "<f8"), ("length", "<u8")]
-)  # packed: 51 bytes
+POINT = np.dtype([("id", "<i8"), ("position", "<f8", 3), ("color", "u1", 3), ("error", "<f8"), ("length", "<u8")])
 LENGTH_AT = POINT.itemsize - COUNT.size
 ELEMENT = np.dtype([("image", "<u4"), ("feature", "<u4")])
 
@@ -37,18 +28,16 @@ class _Records:
         self.data = path.read_bytes()
         self.offset = self.record = 0
         if len(self.data) < COUNT.size:
-            raise SceneError(f"{path} is truncated before its first record; export the model again")
+            raise SceneError(f"{path} is truncated before its first record; {AGAIN}")
         (self.count,) = self.take(COUNT)
 
     def __iter__(self) -> Iterator[int]:
         for record in range(self.count):
             self.record = record
             yield record
-        if self.offset != len(self.data):
-            raise SceneError(
-                f"{self.path} has {len(self.data) - self.offset} bytes after the last of its {self.count} {self.kind}; "
-                "export the model again"
-            )
+        left = len(self.data) - self.offset
+        if left:
+            raise SceneError(f"{self.path} has {left} bytes after the last of its {self.count} {self.kind}; {AGAIN}")
 
     def take(self, layout: struct.Struct) -> tuple[Any, ...]:
         return layout.unpack_from(self.data, self.skip(layout.size))
@@ -70,30 +59,27 @@ class _Records:
         try:
             return raw.decode("utf-8")
         except UnicodeDecodeError:
-            raise SceneError(
-                f"{self.path}: record {self.record} has the name {raw!r}, which is not UTF-8; rename the image"
-            ) from None
+            problem = f"record {self.record} has the name {raw!r}, which is not UTF-8; rename the image"
+            raise SceneError(f"{self.path}: {problem}") from None
 
     def truncated(self) -> SceneError:
-        return SceneError(
-            f"{self.path} is truncated: it ends within record {self.record} of {self.count} {self.kind}; "
-            "export the model again"
-        )
+        where = f"within record {self.record} of {self.count} {self.kind}"
+        return SceneError(f"{self.path} is truncated: it ends {where}; {AGAIN}")
 
 
-def read_cameras_bin(path: Path) -> list[CameraRow]:
+def read_cameras(path: Path) -> list[CameraRow]:
     """Read cameras.bin."""
     records = _Records(path, "cameras")
     rows = []
     for _ in records:
         camera, number, width, height = records.take(CAMERA)
-        model = MODELS.get(number) or OTHER_MODELS.get(number) or f"number {number}"
-        parameters = records.take(struct.Struct(f"<{parameter_count(model, camera, path)}d"))
+        model = tables.MODELS.get(number) or tables.OTHER_MODELS.get(number) or f"number {number}"
+        parameters = records.take(struct.Struct(f"<{tables.parameter_count(model, camera, path)}d"))
         rows.append(CameraRow(camera, model, width, height, parameters))
     return rows
 
 
-def read_images_bin(path: Path) -> ImageTable:
+def read_images(path: Path) -> ImageTable:
     """Read images.bin."""
     records = _Records(path, "images")
     heads, names, features = [], [], [np.zeros(0, dtype=FEATURE)]
@@ -116,7 +102,7 @@ def read_images_bin(path: Path) -> ImageTable:
     )
 
 
-def read_points_bin(path: Path) -> PointTable:
+def read_points(path: Path) -> PointTable:
     """Read points3D.bin."""
     records = _Records(path, "points")
     starts, length_of, data, end = [], COUNT.unpack_from, records.data, len(records.data)
@@ -145,16 +131,16 @@ def read_points_bin(path: Path) -> PointTable:
     )
 
 
-def write_cameras_bin(rows: list[CameraRow], path: Path) -> None:
+def write_cameras(rows: list[CameraRow], path: Path) -> None:
     """Write cameras.bin."""
     with path.open("wb") as file:
         file.write(COUNT.pack(len(rows)))
         for row in rows:
-            file.write(CAMERA.pack(row.id, MODEL_IDS[row.model], row.width, row.height))
+            file.write(CAMERA.pack(row.id, tables.MODEL_IDS[row.model], row.width, row.height))
             file.write(struct.pack(f"<{len(row.parameters)}d", *row.parameters))
 
 
-def write_images_bin(table: ImageTable, path: Path) -> None:
+def write_images(table: ImageTable, path: Path) -> None:
     """Write images.bin."""
     features = np.empty(len(table.points), dtype=FEATURE)
     features["pixel"], features["point"] = table.pixels, table.points
@@ -168,7 +154,7 @@ def write_images_bin(table: ImageTable, path: Path) -> None:
             file.write(rows.tobytes())
 
 
-def write_points_bin(table: PointTable, path: Path) -> None:
+def write_points(table: PointTable, path: Path) -> None:
     """Write points3D.bin."""
     heads = np.empty(len(table.ids), dtype=POINT)
     heads["id"], heads["position"], heads["color"] = table.ids, table.positions, table.colors

@@ -1,5 +1,6 @@
 """Reading and writing a COLMAP model: cameras, images and points3D, as text or binary files."""
 
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -7,23 +8,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
+from torchrefrac.files.colmap import binary as binary_files
+from torchrefrac.files.colmap import text as text_files
 from torchrefrac.files.colmap.assembly import assemble, tables_of
-from torchrefrac.files.colmap.binary import (
-    read_cameras_bin,
-    read_images_bin,
-    read_points_bin,
-    write_cameras_bin,
-    write_images_bin,
-    write_points_bin,
-)
-from torchrefrac.files.colmap.text import (
-    read_cameras_txt,
-    read_images_txt,
-    read_points_txt,
-    write_cameras_txt,
-    write_images_txt,
-    write_points_txt,
-)
+from torchrefrac.files.colmap.tables import AGAIN
 from torchrefrac.scene import Scene, SceneError
 
 STEMS = ("cameras", "images", "points3D")
@@ -34,11 +22,16 @@ SUBFOLDERS = (".", "sparse/0", "sparse")
 def find_colmap(folder: Path) -> tuple[Path, str] | None:
     """The folder of a whole model in `folder`, its sparse/0 or its sparse, and the ending of its files: .bin before
     .txt."""
-    for place in (folder / name for name in SUBFOLDERS):
-        for ending in (".bin", ".txt"):
-            if all((place / f"{stem}{ending}").is_file() for stem in STEMS):
-                return place, ending
-    return None
+    return next((found for found in _places(folder) if not _lacking(*found)), None)
+
+
+def _places(folder: Path) -> Iterator[tuple[Path, str]]:
+    """Where the files of a model may be, and how they end."""
+    return ((folder / name, ending) for name in SUBFOLDERS for ending in (".bin", ".txt"))
+
+
+def _lacking(place: Path, ending: str) -> list[str]:
+    return [f"{stem}{ending}" for stem in STEMS if not (place / f"{stem}{ending}").is_file()]
 
 
 def read_colmap(folder: str | Path) -> Scene:
@@ -58,12 +51,10 @@ def read_colmap(folder: str | Path) -> Scene:
     if found is None:
         raise SceneError(_what_is_missing(folder))
     place, ending = found
-    paths = [place / f"{stem}{ending}" for stem in STEMS]
-    if ending == ".bin":
-        tables = read_cameras_bin(paths[0]), read_images_bin(paths[1]), read_points_bin(paths[2])
-    else:
-        tables = read_cameras_txt(paths[0]), read_images_txt(paths[1]), read_points_txt(paths[2])
-    return assemble(*tables, *paths)
+    cameras, images, points = (place / f"{stem}{ending}" for stem in STEMS)
+    files = binary_files if ending == ".bin" else text_files
+    tables = files.read_cameras(cameras), files.read_images(images), files.read_points(points)
+    return assemble(*tables, cameras, images, points)
 
 
 def write_colmap(
@@ -88,25 +79,21 @@ def write_colmap(
     for name in images.names:
         if not name or "\0" in name:
             raise SceneError(f"an image has the name {name!r}, which a COLMAP model cannot hold; rename it")
-    write_cameras = write_cameras_bin if binary else write_cameras_txt
-    write_images = write_images_bin if binary else write_images_txt
-    write_points = write_points_bin if binary else write_points_txt
+    files = binary_files if binary else text_files
     with ExitStack() as stack:
         paths = [stack.enter_context(replacing(folder / f"{stem}{ending}")) for stem in STEMS]
-        write_cameras(cameras, paths[0])
-        write_images(images, paths[1])
-        write_points(points, paths[2])
+        files.write_cameras(cameras, paths[0])
+        files.write_images(images, paths[1])
+        files.write_points(points, paths[2])
 
 
 def _what_is_missing(folder: Path) -> str:
     if not folder.is_dir():
         return f"{folder} is not a folder; give the one that holds the files of a COLMAP model"
-    for place in (folder / name for name in SUBFOLDERS):
-        for ending in (".bin", ".txt"):
-            has = {stem: (place / f"{stem}{ending}").is_file() for stem in STEMS}
-            if has["cameras"] or has["images"] or has["points3D"]:
-                missing = " and ".join(f"{stem}{ending}" for stem, there in has.items() if not there)
-                return f"{place} lacks {missing}, without which a COLMAP model is not whole; export the model again"
+    for place, ending in _places(folder):
+        missing = _lacking(place, ending)
+        if len(missing) < len(STEMS):
+            return f"{place} lacks {' and '.join(missing)}, without which a COLMAP model is not whole; {AGAIN}"
     return (
         f"{folder} holds no COLMAP model: looked for cameras, images and points3D (.bin or .txt) in it and in its "
         "sparse/0 and sparse; give the folder that holds them"

@@ -16,19 +16,11 @@ MODEL_IDS = {name: number for number, name in MODELS.items()}
 PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "FULL_OPENCV": 12}
 SHARED_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 OTHER_MODELS = {
-    5: "OPENCV_FISHEYE",
-    7: "FOV",
-    8: "SIMPLE_RADIAL_FISHEYE",
-    9: "RADIAL_FISHEYE",
-    10: "THIN_PRISM_FISHEYE",
-    11: "RAD_TAN_THIN_PRISM_FISHEYE",
-    12: "SIMPLE_DIVISION",
-    13: "DIVISION",
-    14: "SIMPLE_FISHEYE",
-    15: "FISHEYE",
-    16: "EUCM",
-    17: "EQUIRECTANGULAR",
-}
+    5: "OPENCV_FISHEYE", 7: "FOV", 8: "SIMPLE_RADIAL_FISHEYE", 9: "RADIAL_FISHEYE", 10: "THIN_PRISM_FISHEYE",
+    11: "RAD_TAN_THIN_PRISM_FISHEYE", 12: "SIMPLE_DIVISION", 13: "DIVISION", 14: "SIMPLE_FISHEYE", 15: "FISHEYE",
+    16: "EUCM", 17: "EQUIRECTANGULAR",
+}  # fmt: skip
+AGAIN = "export the model again"  # the remedy for files that do not fit together
 
 
 @dataclass(frozen=True)
@@ -110,19 +102,7 @@ def intrinsics_of(row: CameraRow, path: Path) -> Intrinsics:
 
 def row_of(intrinsics: Intrinsics, camera: int) -> CameraRow:
     """A camera of a COLMAP model: PINHOLE without distortion, OPENCV without k3, else FULL_OPENCV."""
-    numbers = (
-        torch.cat((intrinsics.focal, intrinsics.principal_point, intrinsics.distortion))
-        .detach()
-        .cpu()
-        .double()
-        .tolist()
-    )
-    k1, k2, p1, p2, k3 = numbers[4:]
-    if not any(numbers[4:]):
-        model = "PINHOLE"
-    elif k3 == 0.0:
-        model = "OPENCV"
-    else:
-        model = "FULL_OPENCV"
-    full = (*numbers[:4], k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)
-    return CameraRow(camera, model, intrinsics.width, intrinsics.height, full[: PARAMETERS[model]])
+    numbers = torch.cat((intrinsics.focal, intrinsics.principal_point, intrinsics.distortion)).detach().cpu().double()
+    parameters = (*numbers.tolist(), 0.0, 0.0, 0.0)
+    model = next(name for name in ("PINHOLE", "OPENCV", "FULL_OPENCV") if not any(parameters[PARAMETERS[name] :]))
+    return CameraRow(camera, model, intrinsics.width, intrinsics.height, parameters[: PARAMETERS[model]])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchrefrac.files.colmap.tables import CameraRow, ImageTable, PointTable, parameter_count
+from torchrefrac.files.colmap.tables import AGAIN, CameraRow, ImageTable, PointTable, parameter_count
 from torchrefrac.scene import SceneError
 
 CAMERAS_HEAD = "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"
@@ -14,7 +14,7 @@ IMAGES_HEAD = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS
 POINTS_HEAD = "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n"
 
 
-def read_cameras_txt(path: Path) -> list[CameraRow]:
+def read_cameras(path: Path) -> list[CameraRow]:
     """Read cameras.txt."""
     rows = []
     for number, line in _records(_lines(path)):
@@ -29,7 +29,7 @@ def read_cameras_txt(path: Path) -> list[CameraRow]:
     return rows
 
 
-def read_images_txt(path: Path) -> ImageTable:
+def read_images(path: Path) -> ImageTable:
     """Read images.txt. A name reaches to the end of its line, blanks and all."""
     names: list[str] = []
     ids: list[np.ndarray] = []  # of the image and of its camera
@@ -66,7 +66,7 @@ def read_images_txt(path: Path) -> ImageTable:
     )
 
 
-def read_points_txt(path: Path) -> PointTable:
+def read_points(path: Path) -> PointTable:
     """Read points3D.txt."""
     ids: list[np.ndarray] = []
     numbers: list[list[float]] = []
@@ -100,13 +100,13 @@ def read_points_txt(path: Path) -> PointTable:
     )
 
 
-def write_cameras_txt(rows: list[CameraRow], path: Path) -> None:
+def write_cameras(rows: list[CameraRow], path: Path) -> None:
     """Write cameras.txt; here and below, numbers have all the digits that set them apart from their neighbours."""
     lines = [f"{row.id} {row.model} {row.width} {row.height} {_join(row.parameters)}\n" for row in rows]
     path.write_text(CAMERAS_HEAD + "".join(lines), encoding="utf-8", newline="\n")
 
 
-def write_images_txt(table: ImageTable, path: Path) -> None:
+def write_images(table: ImageTable, path: Path) -> None:
     """Write images.txt. SceneError for a name that would not survive it."""
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(IMAGES_HEAD)
@@ -123,7 +123,7 @@ def write_images_txt(table: ImageTable, path: Path) -> None:
             file.write(" ".join(f"{x!r} {y!r} {point}" for (x, y), point in features) + "\n")
 
 
-def write_points_txt(table: PointTable, path: Path) -> None:
+def write_points(table: PointTable, path: Path) -> None:
     """Write points3D.txt."""
     tracks = np.stack((table.images, table.features), axis=-1).reshape(-1).tolist()
     ends = (2 * np.cumsum(table.lengths)).tolist()
@@ -146,7 +146,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
         try:
             yield from enumerate(file, start=1)
         except UnicodeDecodeError as error:
-            raise SceneError(f"{path} is not UTF-8 text: {error}; export the model again") from None
+            raise SceneError(f"{path} is not UTF-8 text: {error}; {AGAIN}") from None
 
 
 def _records(lines: Iterator[tuple[int, str]]) -> Iterator[tuple[int, str]]:
@@ -156,9 +156,7 @@ def _records(lines: Iterator[tuple[int, str]]) -> Iterator[tuple[int, str]]:
 
 def _require_columns(fits: bool, words: list[str], wanted: str, path: Path, number: int) -> None:
     if not fits:
-        raise SceneError(
-            f"{path}, line {number}: has {len(words)} columns, but must have {wanted}; export the model again"
-        )
+        raise SceneError(f"{path}, line {number}: has {len(words)} columns, but must have {wanted}; {AGAIN}")
 
 
 @contextmanager

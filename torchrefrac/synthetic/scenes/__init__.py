@@ -1,5 +1,8 @@
 """The scenes that can be made, by kind."""
 
+from collections.abc import Callable
+from typing import Any
+
 from torchrefrac.synthetic.options import SyntheticOptions
 from torchrefrac.synthetic.scenes.cans import CansOptions, cans_stage
 from torchrefrac.synthetic.scenes.mesh import MeshOptions, mesh_stage
@@ -8,11 +11,11 @@ from torchrefrac.synthetic.scenes.tank import TankOptions, tank_stage
 from torchrefrac.synthetic.stage import Stage
 
 SCENES: dict[str, type[SyntheticOptions]] = {
-    "tank": TankOptions,
-    "cans": CansOptions,
-    "riverbed": RiverbedOptions,
-    "mesh": MeshOptions,
-}
+    "tank": TankOptions, "cans": CansOptions, "riverbed": RiverbedOptions, "mesh": MeshOptions,
+}  # fmt: skip
+STAGES: dict[type[SyntheticOptions], Callable[[Any], Stage]] = {
+    TankOptions: tank_stage, CansOptions: cans_stage, RiverbedOptions: riverbed_stage, MeshOptions: mesh_stage,
+}  # fmt: skip
 
 
 def stage_of(options: SyntheticOptions) -> Stage:
@@ -20,17 +23,10 @@ def stage_of(options: SyntheticOptions) -> Stage:
 
     Raises StageError where it cannot be made of what they name, and TypeError for options of no known scene.
     """
-    match options:
-        case TankOptions():
-            return tank_stage(options)
-        case CansOptions():
-            return cans_stage(options)
-        case RiverbedOptions():
-            return riverbed_stage(options)
-        case MeshOptions():
-            return mesh_stage(options)
-        case _:
-            raise TypeError(f"options are {type(options).__name__}, but must be of one of {', '.join(SCENES)}")
+    for kind, stage in STAGES.items():
+        if isinstance(options, kind):
+            return stage(options)
+    raise TypeError(f"options are {type(options).__name__}, but must be of one of {', '.join(SCENES)}")
 
 
 __all__ = ["SCENES", "CansOptions", "MeshOptions", "RiverbedOptions", "TankOptions", "stage_of"]

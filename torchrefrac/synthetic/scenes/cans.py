@@ -12,10 +12,9 @@ from torch import Tensor
 
 from torchrefrac.checks import require
 from torchrefrac.geometry.surfaces import Cylinder, Rectangle
-from torchrefrac.synthetic.options import SyntheticOptions
+from torchrefrac.synthetic.options import SyntheticOptions, require_heights, require_images
 from torchrefrac.synthetic.paths import look_at, ring, rolls
 from torchrefrac.synthetic.prints import checkerboard, label, tiles, wood
-from torchrefrac.synthetic.scenes.checks import require_heights, require_images
 from torchrefrac.synthetic.scenes.shapes import footprint, level_rectangle, vector, walls
 from torchrefrac.synthetic.stage import Piece, Stage
 from torchrefrac.synthetic.textures import ImageTexture, SideBySide
@@ -47,10 +46,8 @@ class CansOptions(SyntheticOptions):
         require_images(self.images)
         require_heights(self.heights)
         if min(self.heights) < 2.0 * RIM:
-            raise ValueError(
-                f"heights go down to {min(self.heights):g}, but must be at least {2.0 * RIM:g}: the tank's rim is "
-                f"{RIM:g} above the water"
-            )
+            wanted = f"at least {2.0 * RIM:g}: the tank's rim is {RIM:g} above the water"
+            raise ValueError(f"heights go down to {min(self.heights):g}, but must be {wanted}")
 
 
 def cans_stage(options: CansOptions) -> Stage:
@@ -118,7 +115,5 @@ def leaning(foot: Float[Tensor, " 3"], edge: Float[Tensor, " 3"], radius: float,
     across = torch.nn.functional.normalize(torch.linalg.cross(vector((0.0, 0.0, 1.0)), edge - foot), dim=-1)
     along = torch.nn.functional.normalize(edge - foot, dim=-1)
     over = torch.linalg.cross(along, across)
-    over = over * over[2].sign()
-    lift = radius * over
-    distance = float((edge - foot).norm())
-    return Cylinder(foot + lift, along * (distance + beyond), radius)
+    lift = radius * (over * over[2].sign())
+    return Cylinder(foot + lift, along * (float((edge - foot).norm()) + beyond), radius)

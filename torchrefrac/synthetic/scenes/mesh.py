@@ -13,10 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.checks import require
-from torchrefrac.synthetic.options import SyntheticOptions
+from torchrefrac.synthetic.options import SyntheticOptions, require_heights, require_images
 from torchrefrac.synthetic.paths import look_at, ring, rolls
 from torchrefrac.synthetic.patterns import sand
-from torchrefrac.synthetic.scenes.checks import require_heights, require_images
 from torchrefrac.synthetic.scenes.mesh_colours import coloured
 from torchrefrac.synthetic.scenes.shapes import level_rectangle
 from torchrefrac.synthetic.stage import Piece, Stage, StageError
@@ -87,8 +86,7 @@ def mesh_stage(options: MeshOptions) -> Stage:
     vertices, depth = _placed(torch.as_tensor(mesh.vertices.copy(), dtype=torch.float64), options)
     surface, texture = coloured(mesh, vertices, options.seed)
     low, high = vertices.amin(dim=0), vertices.amax(dim=0)
-    radius = 0.5 * float((high - low).norm())
-    middle = 0.5 * (low + high)
+    radius, middle = 0.5 * float((high - low).norm()), 0.5 * (low + high)
     center = _cameras(options, radius, float(middle[2]))
     pieces = [Piece(Path(options.file).stem, surface, texture)]
     if options.ground:
@@ -159,14 +157,9 @@ def _cameras(options: MeshOptions, radius: float, middle: float) -> Float[Tensor
         heights = [max(height, middle + 1.5 * radius) for height in heights]
         radii = [math.tan(tilt) * (height - middle) for tilt, height in zip(tilts, heights, strict=True)]
     else:
-        heights = list(options.heights)
-        radii = [
-            max(
-                math.sqrt(max(distance**2 - (h - middle) ** 2, 0.0)),
-                math.tan(math.radians(TILTS_DEG[0])) * (h - middle),
-            )
-            for h in heights
-        ]
+        heights, steepest = list(options.heights), math.tan(math.radians(TILTS_DEG[0]))
+        above = [height - middle for height in heights]
+        radii = [max(math.sqrt(max(distance**2 - h**2, 0.0)), steepest * h) for h in above]
     center = ring(options.images, 1.0, heights, (0.0, 360.0))
     each = torch.tensor([radii[i % len(radii)] for i in range(options.images)], dtype=torch.float64)
     return center * torch.stack((each, each, torch.ones_like(each)), dim=-1)

@@ -30,19 +30,16 @@ def coloured(mesh: "trimesh.Trimesh", vertices: Float[Tensor, "v 3"], seed: int)
     colours = _corner_colours(mesh)
     if colours is not None:
         return TriangleMesh(apart, own, corner_uv(len(faces))), VertexColours(colours)
-    return TriangleMesh(apart, own, _box_uv(vertices[faces])), ImageTexture(
-        gravel((1536, 1536), 10 * seed + 1, stone=36.0, tint=14.0), repeat=True
-    )
+    stone = ImageTexture(gravel((1536, 1536), 10 * seed + 1, stone=36.0, tint=14.0), repeat=True)
+    return TriangleMesh(apart, own, _box_uv(vertices[faces])), stone
 
 
 def _image(mesh: "trimesh.Trimesh") -> UInt8[np.ndarray, "height width 3"] | None:
     """The picture of the mesh's material, where it has one."""
     material: Any = getattr(mesh.visual, "material", None)
-    for name in ("image", "baseColorTexture"):
-        picture = getattr(material, name, None)
-        if picture is not None:
-            return np.array(picture.convert("RGB"), dtype=np.uint8)
-    return None
+    pictures = (getattr(material, name, None) for name in ("image", "baseColorTexture"))
+    picture = next((picture for picture in pictures if picture is not None), None)
+    return None if picture is None else np.array(picture.convert("RGB"), dtype=np.uint8)
 
 
 def _corner_colours(mesh: "trimesh.Trimesh") -> Float32[Tensor, "f 3 3"] | None:

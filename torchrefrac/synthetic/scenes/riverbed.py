@@ -10,9 +10,8 @@ from torch import Tensor
 
 from torchrefrac.checks import require, require_between
 from torchrefrac.geometry.triangle_mesh import TriangleMesh
-from torchrefrac.synthetic.options import SyntheticOptions
+from torchrefrac.synthetic.options import MAX_IMAGES, SyntheticOptions
 from torchrefrac.synthetic.paths import grid, look_at, ring, rolls
-from torchrefrac.synthetic.scenes.checks import MAX_IMAGES
 from torchrefrac.synthetic.scenes.ground import bed, boulders, colours, places, with_boulders
 from torchrefrac.synthetic.stage import Piece, Stage
 from torchrefrac.synthetic.textures import ImageTexture

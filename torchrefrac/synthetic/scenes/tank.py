@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 from torchrefrac.checks import require
-from torchrefrac.synthetic.options import SyntheticOptions
+from torchrefrac.synthetic.options import SyntheticOptions, require_heights, require_images
 from torchrefrac.synthetic.paths import look_at, ring, rolls
 from torchrefrac.synthetic.patterns import beans, grass, gravel
-from torchrefrac.synthetic.scenes.checks import require_heights, require_images
 from torchrefrac.synthetic.scenes.shapes import level_rectangle, rectangle, vector
 from torchrefrac.synthetic.stage import Piece, Stage
 from torchrefrac.synthetic.textures import ImageTexture
