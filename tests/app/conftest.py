@@ -77,6 +77,18 @@ def part_of_tank(tmp_path):
     return lambda images: _copy_part_of_tank(images, tmp_path / "part_of_tank")
 
 
+def _kept(folder, make):
+    """How the command that `make` runs in a folder ended, kept beside its results."""
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        status = make(patch)
+    (folder / "ended.json").write_text(json.dumps([status, out.getvalue(), err.getvalue()]))
+
+
+def _ended(folder):
+    return Ended(*json.loads((folder / "ended.json").read_text()))
+
+
 @pytest.fixture(scope="session")
 def complete_run(made_once):
     """Folder with `run`, which the command made of the small tank with all default options, and how the command ended.
@@ -84,13 +96,10 @@ def complete_run(made_once):
 
     def make(folder):
         capture = _copy_part_of_tank([0, 1, 2, 3], folder / "part_of_tank")
-        out, err = io.StringIO(), io.StringIO()
-        with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-            status = run_command(["scene=capture", f"scene.path={capture}", "out=run"], folder, patch)
-        (folder / "ended.json").write_text(json.dumps([status, out.getvalue(), err.getvalue()]))
+        _kept(folder, lambda patch: run_command(["scene=capture", f"scene.path={capture}", "out=run"], folder, patch))
 
     folder = made_once("complete_run", make)
-    return folder / "run", Ended(*json.loads((folder / "ended.json").read_text()))
+    return folder / "run", _ended(folder)
 
 
 @pytest.fixture
@@ -124,6 +133,25 @@ def sparse(made_once):
     """Folder with `capture`, three images of the embedded scene at half their size, and `run`, their sparse model. Not
     to be changed."""
     return made_once("sparse", _make_sparse)
+
+
+@pytest.fixture(scope="session")
+def both_models(made_once):
+    """Folder with `part_of_tank`, and `both`, a sweep over two models of it, sparse and dense, with all reports; and
+    how the command ended. Not to be changed."""
+
+    def make(folder):
+        capture = _copy_part_of_tank([0, 1, 2, 3], folder / "part_of_tank")
+        scene = ("scene=capture", f"scene.path={capture}", "model=none,refractive", "features.max_features=2000")
+        dense = (
+            "dense=patch",
+            "dense.cell=12",
+            *(f"outputs.{name}=false" for name in ("mesh", "raster", "depth_maps")),
+        )
+        _kept(folder, lambda patch: run_command(["-m", *scene, *dense, "out=both"], folder, patch, reports=True))
+
+    folder = made_once("both_models", make)
+    return folder, _ended(folder)
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ RESULTS = {"cameras.json", "points.ply", "metrics.json", "side_view.png", "featu
 
 OF_A_SWEEP = {"figure1.png", "multirun.yaml", "report.html", "summary.csv", "summary.md", "summary.png", "sweep.json"}
 OF_A_SWEEP |= {"table1.md"}
+OF_DENSE_RUNS = {"dense_figure1.png", "dense_error_map.png"}
 FEWER = "features.max_features=2000"
 
 
@@ -48,12 +49,11 @@ def test_the_same_seed_gives_the_same_cameras(torchrefrac, small_tank, complete_
     assert first.read_bytes() == second.read_bytes()
 
 
-def test_a_multirun_over_the_models_ends_with_table_and_figure(torchrefrac, small_tank, metrics):
-    given = ("scene=capture", f"scene.path={small_tank}", "model=none,refractive", FEWER, "out=both")
-    ended = torchrefrac("-m", *given, reports=True)
+def test_a_multirun_over_the_models_ends_with_table_and_figure(both_models, metrics):
+    folder, ended = both_models
+    both = folder / "both"
     assert ended.status == 0
-    both = small_tank.parent / "both"
-    assert {p.name for p in both.iterdir()} == {"0_none", "1_refractive", *OF_A_SWEEP}
+    assert {p.name for p in both.iterdir()} == {"0_none", "1_refractive", *OF_A_SWEEP, *OF_DENSE_RUNS}
     for page in (both, both / "0_none", both / "1_refractive"):
         assert 10_000 < (page / "report.html").stat().st_size < 5_000_000
     assert 'href="1_refractive/report.html"' in (both / "report.html").read_text()
@@ -63,7 +63,7 @@ def test_a_multirun_over_the_models_ends_with_table_and_figure(torchrefrac, smal
     assert refractive["alignment"] == "4-dof"
     table = (both / "table1.md").read_text()
     assert table.strip() in ended.out
-    assert none["capture"] == str(small_tank)
+    assert none["capture"] == str(folder / "part_of_tank")
     assert "No refraction" in table
     assert "Refraction" in table
     assert cv2.imread(str(both / "figure1.png")).std() > 5

@@ -448,23 +448,21 @@ def test_a_geotiff_without_rasterio_is_refused_before_a_run_begins(torchrefrac, 
     assert "pip install torchrefrac[geo]" in metrics(place / "new")["reason"]
 
 
-def test_a_sweep_over_the_models_compares_their_surfaces(torchrefrac, sparse, metrics, tmp_path):
-    ended = torchrefrac(
-        "-m", "scene=capture", f"scene.path={sparse / 'capture'}", "model=none,refractive", *PLAIN,
-        "dense=patch", "out=all",
-    )  # fmt: skip
+def test_a_sweep_over_the_models_compares_their_surfaces(both_models, metrics):
+    folder, ended = both_models
+    both = folder / "both"
 
     assert ended.status == 0
-    runs = {name: metrics(tmp_path / "all" / name) for name in ("0_none", "1_refractive")}
+    runs = {name: metrics(both / name) for name in ("0_none", "1_refractive")}
     assert all(found["stages"][-1] == "dense" for found in runs.values())
     rms = {name: found["dense_plane_rms_cm"] for name, found in runs.items()}
     assert rms["0_none"] > 3.0 * rms["1_refractive"]
-    table = (tmp_path / "all" / "table1.md").read_text()
+    table = (both / "table1.md").read_text()
     assert table.strip() in ended.out
     assert "within 0.2 cm" in table
     assert max(map(len, table.splitlines())) <= 100
     for picture in ("figure1.png", "dense_figure1.png", "dense_error_map.png"):
-        assert cv2.imread(str(tmp_path / "all" / picture)).std() > 5
+        assert cv2.imread(str(both / picture)).std() > 5
 
 
 def test_a_sweep_over_the_methods_tells_them_apart(torchrefrac, place, known_sparse):
