@@ -83,11 +83,7 @@ class RunFolder:
         self.metrics[f"seconds_{name}"] = round(seconds, 3)
 
     def complete(
-        self,
-        scene: Scene,
-        metrics: dict[str, Any],
-        truth: Truth | None,
-        alignment: Similarity | None,
+        self, scene: Scene, metrics: dict[str, Any], truth: Truth | None, alignment: Similarity | None
     ) -> None:
         """Take in the metrics and draw the figure."""
         self.metrics |= metrics

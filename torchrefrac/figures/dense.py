@@ -22,11 +22,7 @@ HEIGHT_COLORS = "jet_r"
 
 
 def dense_view(
-    model: str,
-    cloud: DenseCloud,
-    scene: Scene,
-    aligned: Similarity | None,
-    metrics: Mapping[str, Any],
+    model: str, cloud: DenseCloud, scene: Scene, aligned: Similarity | None, metrics: Mapping[str, Any]
 ) -> SideView:
     """The panel of a dense cloud for `draw_dense_views`, with the cameras that it was made from."""
     points = thinned(cloud.points)

@@ -96,10 +96,7 @@ def match_picture(
 
 
 def residual_picture(
-    photograph: UInt8[np.ndarray, "h w 3"],
-    pixels: Float[Tensor, "k 2"],
-    residuals: Float[Tensor, "k 2"],
-    factor: float,
+    photograph: UInt8[np.ndarray, "h w 3"], pixels: Float[Tensor, "k 2"], residuals: Float[Tensor, "k 2"], factor: float
 ) -> UInt8[np.ndarray, "height width 3"]:
     """A photograph, BGR, darkened, with residuals at pixels, both of the photograph, as lines `factor` times as long;
     RGB, WIDTH wide."""

@@ -114,11 +114,7 @@ def _figures(run: RunContents, others: Sequence[RunContents], residuals: Residua
         return []
     every = _in_order([run, *others])
     beside = every if len(every) <= MOST_PANELS else [run]
-    found = [
-        drawn.draw_models(beside, _titles(beside)),
-        drawn.draw_cameras(shown, run.truth),
-        drawn.draw_attitude(run),
-    ]
+    found = [drawn.draw_models(beside, _titles(beside)), drawn.draw_cameras(shown, run.truth), drawn.draw_attitude(run)]
     if residuals is not None and run.scene is not None:
         found += drawn.draw_residuals(residuals, run.scene)
     found += [drawn.draw_shift(run), drawn.draw_uncertainty(shown, run.truth)]
