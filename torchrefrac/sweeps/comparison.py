@@ -6,8 +6,7 @@ from pathlib import Path
 from torchrefrac.atomic import replacing
 from torchrefrac.evaluate.dense_metrics import FOUND, TYPICAL
 from torchrefrac.evaluate.metrics import evaluate
-from torchrefrac.figures.dense import dense_view, draw_dense_views
-from torchrefrac.figures.error_map import draw_error_map, error_panel
+from torchrefrac.figures.dense import dense_view, draw_dense_views, draw_error_map, error_panel
 from torchrefrac.figures.side_views import TITLES, draw_side_views, side_view
 from torchrefrac.files.cameras import CAMERAS, load_points, read_cameras
 from torchrefrac.files.dense import load_dense
