@@ -15,8 +15,7 @@ from torchrefrac.dense import DenseError
 from torchrefrac.files.run import METRICS, RunRecordError
 from torchrefrac.scene import CaptureError, SceneError, SurveyError
 from torchrefrac.sfm import NoInitialPairError
-from torchrefrac.sweeps.failures import append_traceback, write_failure
-from torchrefrac.sweeps.folder import SweepError
+from torchrefrac.sweeps.folder import SweepError, append_traceback, write_failure
 
 EXPECTED = (
     CaptureError,

@@ -18,7 +18,7 @@ STEPS = (1.0, 2.0, 5.0, 10.0)
 def ellipse_axes(
     covariance: Float[Tensor, "k 2 2"],
 ) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"], Float[Tensor, " k"]]:
-    """Half axes, long and short, of ellipses of one standard deviation, and the angle of the long one from x in degrees."""
+    """Long and short half axes of the ellipses of one standard deviation, and the angle of the long ones in degrees."""
     values, vectors = torch.linalg.eigh(covariance)
     axes = values.clamp(min=0.0).sqrt()
     return axes[:, 1], axes[:, 0], torch.atan2(vectors[:, 1, 1], vectors[:, 0, 1]).rad2deg()

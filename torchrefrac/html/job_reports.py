@@ -5,8 +5,7 @@ from pathlib import Path
 
 from torchrefrac.html.run_page import write_report
 from torchrefrac.recorder import Recorder
-from torchrefrac.sweeps.design import load_runs, what_varied
-from torchrefrac.sweeps.pictured import shown_together
+from torchrefrac.sweeps.design import load_runs, shown_together, what_varied
 
 
 def write_job_reports(runs: Sequence[Path], recorder: Recorder) -> None:

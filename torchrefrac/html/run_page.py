@@ -25,7 +25,7 @@ from torchrefrac.html.words import (
     with_sigma,
 )
 from torchrefrac.record.summary import dense_lines
-from torchrefrac.sweeps.pictured import MOST_PANELS
+from torchrefrac.sweeps.design import MOST_PANELS
 
 REPORT = "report.html"
 LOG, LOG_LINES = "run.log", 60

@@ -12,8 +12,7 @@ from torchrefrac.html.page import write_page
 from torchrefrac.html.run_page import REPORT, relative_report
 from torchrefrac.html.tables import Entry, Table, files_of, table1
 from torchrefrac.html.words import MODELS, distinct, model_order, model_title, seconds
-from torchrefrac.sweeps.design import load_runs, short_keys, what_varied
-from torchrefrac.sweeps.pictured import MOST_PANELS
+from torchrefrac.sweeps.design import MOST_PANELS, load_runs, short_keys, what_varied
 
 SUMMARY, SUMMARY_WIDTH = "summary.png", 1600
 MOST_FIGURES = 12
