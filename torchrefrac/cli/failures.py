@@ -18,19 +18,9 @@ from torchrefrac.sfm import NoInitialPairError
 from torchrefrac.sweeps.folder import SweepError, append_traceback, write_failure
 
 EXPECTED = (
-    CaptureError,
-    DenseError,
-    MissingMandatoryValue,
-    NoInitialPairError,
-    OptionError,
-    OSError,
-    ReconstructionError,
-    RunRecordError,
-    SceneError,
-    SurveyError,
-    SweepError,
-    UnadjustableError,
-)
+    CaptureError, DenseError, MissingMandatoryValue, NoInitialPairError, OptionError, OSError, ReconstructionError,
+    RunRecordError, SceneError, SurveyError, SweepError, UnadjustableError,
+)  # fmt: skip
 """Errors whose message is for the user; all others are bugs, and come with a traceback."""
 
 failed: list[str] = []

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from torchrefrac.config.outputs import DenseOutputs
+from torchrefrac.config import DenseOutputs
 from torchrefrac.dense import Dense, DenseOptions, depth_maps
 from torchrefrac.figures.dense import dense_view, draw_dense_views, draw_depth_map, draw_error_map, error_panel
 from torchrefrac.figures.raster import draw_raster

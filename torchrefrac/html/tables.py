@@ -11,7 +11,7 @@ from torchrefrac.figures.shift import off_nadir
 from torchrefrac.figures.uncertainty import true_errors
 from torchrefrac.files.run import RunRecord, is_number
 from torchrefrac.html.contents import RunContents
-from torchrefrac.html.embed import thumbnail
+from torchrefrac.html.page import thumbnail
 from torchrefrac.html.words import UNKNOWN, file_size, placed_words, plain, rounded, seconds, with_sigma
 
 ERRORS = (
@@ -62,7 +62,8 @@ def table1(entries: Sequence[Entry], unit: str, marked: int | None = None) -> Ta
     columns += [("reprojection (px)", "reprojection_median_px", rounded, True)]
     columns += [("points", "points", lambda value: f"{value:.0f}", False), ("time", "seconds_total", seconds, False)]
     columns = [column for column in columns if any(entry.record.number(column[1]) is not None for entry in entries)]
-    rows = [[Cell(entry.label, entry.link), Cell(_placed(entry.record))] for entry in entries]
+    placed = [placed_words(e.record.metrics) if e.record.is_complete else e.record.status for e in entries]
+    rows = [[Cell(entry.label, entry.link), Cell(text)] for entry, text in zip(entries, placed, strict=True)]
     for _, key, words, is_error in columns:
         values = [entry.record.number(key) for entry in entries]
         known = [value for value in values if value is not None]
@@ -75,10 +76,6 @@ def table1(entries: Sequence[Entry], unit: str, marked: int | None = None) -> Ta
     keys = {key for _, key, *_ in columns}
     terms = tuple((name, words) for name, key, words in ERRORS if f"{key}_{unit}" in keys)
     return Table(heads, rows, () if marked is None else (marked,), terms)
-
-
-def _placed(record: RunRecord) -> str:
-    return placed_words(record.metrics) if record.is_complete else record.status
 
 
 def _index_ratio(record: RunRecord) -> str:
