@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from torchrefrac.atomic import replacing
 
@@ -14,13 +14,12 @@ MOST_TICKS = 14
 UNKNOWN = "-"
 
 
-def blank_figure(width: float, height: float) -> Any:
+def blank_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Any:
     """A figure of this size in inches, without global state and without a display."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    figure = Figure(figsize=(width, height), dpi=150)
-    figure.set_layout_engine("constrained")
+    figure = Figure(figsize=(width, height), dpi=150, layout=layout)
     FigureCanvasAgg(figure)
     return figure
 

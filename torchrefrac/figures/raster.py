@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchrefrac.figures.plotting import color_scale, save
+from torchrefrac.figures.plotting import blank_figure, color_scale, save
 from torchrefrac.figures.side_views import INK
 from torchrefrac.scene.raster import Raster
 
@@ -25,9 +25,7 @@ def draw_raster(raster: Raster, path: Path) -> None:
     The colours span all depths but the half per cent at either end; cells without a surface are grey, and a white line
     is the shore. A raster of many cells is drawn with every k-th of them.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
-    from matplotlib.colors import to_rgb  # noqa: PLC0415
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.colors import to_rgb  # noqa: PLC0415 - slow to import
 
     unit, (rows, columns) = raster.length_unit, raster.height.shape
     step = max(1, math.ceil(max(rows, columns) / MOST_PIXELS))
@@ -38,8 +36,7 @@ def draw_raster(raster: Raster, path: Path) -> None:
     size = raster.cell_size
     width, height = max(columns, 1) * size, max(rows, 1) * size
     across, up = (max(side * LONG_SIDE_INCHES / max(width, height), BAR_INCHES) for side in (width, height))
-    figure = Figure(figsize=(across, up), dpi=150)  # the panel; what stands around it is added when it is saved
-    FigureCanvasAgg(figure)
+    figure = blank_figure(across, up, None)  # the panel; what stands around it is added when it is saved
     panel = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     if depth.numel():
         lit = torch.from_numpy(colors.to_rgba(depth.numpy())[..., :3]) * _light(depth, valid, step * size)[..., None]

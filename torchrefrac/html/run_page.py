@@ -72,8 +72,8 @@ def _tiles(run: RunContents) -> list[tuple[str, str]]:
         found.append((f"{words.rounded(m['reprojection_median_px'])} px", "reprojection error, median"))
     if run.record.model == "refractive" and m.get("index_ratio") is not None:
         sigma, true = m.get("index_ratio_sigma"), m.get("true_index_ratio")
-        value = words.plain(m["index_ratio"]) if sigma is None else words.with_sigma(m["index_ratio"], sigma)
         what = "index ratio, " + ("assumed" if sigma is None else "estimated")
+        value = words.with_sigma(m["index_ratio"], sigma)
         found.append((value, what + (f" (true {words.plain(true)})" if true is not None else "")))
     if "points" in m:
         found.append((f"{m['points']:,}".replace(",", "\u202f"), "points"))

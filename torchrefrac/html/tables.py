@@ -12,7 +12,7 @@ from torchrefrac.figures.uncertainty import true_errors
 from torchrefrac.files.run import RunRecord, is_number
 from torchrefrac.html.contents import RunContents
 from torchrefrac.html.page import thumbnail
-from torchrefrac.html.words import UNKNOWN, file_size, placed_words, plain, rounded, seconds, with_sigma
+from torchrefrac.html.words import UNKNOWN, file_size, placed_words, rounded, seconds, with_sigma
 
 ERRORS = (
     ("camera error", "camera_rms", "RMS distance of the camera centres from the true ones, after aligning them"),
@@ -79,10 +79,8 @@ def table1(entries: Sequence[Entry], unit: str, marked: int | None = None) -> Ta
 
 
 def _index_ratio(record: RunRecord) -> str:
-    ratio, sigma = record.number("index_ratio"), record.number("index_ratio_sigma")
-    if ratio is None or record.model != "refractive":
-        return UNKNOWN
-    return plain(ratio) if sigma is None else with_sigma(ratio, sigma)
+    ratio = record.number("index_ratio") if record.model == "refractive" else None
+    return UNKNOWN if ratio is None else with_sigma(ratio, record.number("index_ratio_sigma"))
 
 
 @dataclass(frozen=True)

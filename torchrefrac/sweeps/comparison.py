@@ -105,14 +105,10 @@ def _table(jobs: Sequence[RunRecord], labels: Sequence[str]) -> str:
     header += ["images", "points", "error (px)", "seconds"]
     rows = []
     for job, label in zip(jobs, labels, strict=True):
-        row = [label]
-        if not job.is_complete:
-            rows.append([*row, job.status, *[""] * (len(header) - 2)])
-            continue
-        row += [error_text(job, jobs, stem) for stem in errors.values()]
-        row += [registered(job), rounded(job, "points")]
-        row += [rounded(job, "reprojection_median_px", 3), rounded(job, "seconds_total", 1)]
-        rows.append(row)
+        cells = [error_text(job, jobs, stem) for stem in errors.values()]
+        cells += [registered(job), rounded(job, "points")]
+        cells += [rounded(job, "reprojection_median_px", 3), rounded(job, "seconds_total", 1)]
+        rows.append([label, *(cells if job.is_complete else [job.status, *[""] * (len(cells) - 1)])])
     return markdown_table(header, rows)
 
 

@@ -42,9 +42,8 @@ class Measure:
 class Cell:
     """One panel: what a scene has of a measure, a list of spots for each line."""
 
-    scene: str
     unit: str
-    spots: tuple[tuple[Spot, ...], ...]
+    spots: list[list[Spot]]
 
     @property
     def values(self) -> list[float]:
@@ -116,8 +115,7 @@ def _cell(
 ) -> Cell:
     unit = unit_of([job for job in complete if job.scene == scene], measure.metric) if measure.has_unit else ""
     name = f"{measure.metric}_{unit}" if measure.has_unit else measure.metric
-    spots = (spots_of(line, scene, design.x, name, i, expected) for i, line in enumerate(lines))
-    return Cell(scene, unit, tuple(tuple(of_line) for of_line in spots))
+    return Cell(unit, [spots_of(line, scene, design.x, name, i, expected) for i, line in enumerate(lines)])
 
 
 def _draw_cell(panel: Any, cell: Cell, lines: Sequence[Line], design: Design) -> None:
