@@ -31,17 +31,7 @@ if TYPE_CHECKING:
     from torchrefrac.files.truth import load_truth
     from torchrefrac.geometry import Plane, Rigid
     from torchrefrac.refraction import FlatInterface, solve_refrax, water_index
-    from torchrefrac.scene import (
-        Cameras,
-        Capture,
-        DenseCloud,
-        Interfaces,
-        Observations,
-        Scene,
-        Survey,
-        Truth,
-        Views,
-    )
+    from torchrefrac.scene import Cameras, Capture, DenseCloud, Interfaces, Observations, Scene, Survey, Truth, Views
     from torchrefrac.sfm import ReadjustOptions, SfmOptions
     from torchrefrac.synthetic import made_scene
 

@@ -28,7 +28,8 @@ def require(
     """
     if torch.compiler.is_compiling() or (isinstance(value, Tensor) and value.numel() == 0):
         return
-    low, high = _extremes(value)
+    ends = torch.aminmax(unwrapped(value)) if isinstance(value, Tensor) else (value, value)  # NaN if there is one
+    low, high = (float(end) for end in ends)
     too_low = (at_least is not None and low < at_least) or (above is not None and low <= above)
     too_high = at_most is not None and high > at_most
     if math.isfinite(low) and math.isfinite(high) and not (too_low or too_high):
@@ -101,14 +102,6 @@ def at_least_single(value: Shaped[Tensor, "*shape"]) -> Shaped[Tensor, "*shape"]
 def holds_everywhere(condition: Bool[Tensor, "..."]) -> bool:
     """Whether a mask is True throughout; True, unseen, in compiled code."""
     return torch.compiler.is_compiling() or bool(unwrapped(condition).all())
-
-
-def _extremes(value: Shaped[Tensor, "..."] | float) -> tuple[float, float]:
-    """Smallest and largest value; NaN if there is one."""
-    if not isinstance(value, Tensor):
-        return float(value), float(value)
-    low, high = torch.aminmax(unwrapped(value))
-    return float(low), float(high)
 
 
 def unwrapped(value: Shaped[Tensor, "..."]) -> Shaped[Tensor, "..."]:

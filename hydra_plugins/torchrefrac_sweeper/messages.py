@@ -7,7 +7,7 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, MissingMandatoryValue, OmegaConfBaseException
 
-from torchrefrac.sweeps.failures import file_sentence
+from torchrefrac.sweeps.folder import file_sentence
 
 COMPOSITION_ERRORS = (HydraException, OmegaConfBaseException)
 NOISE = (

@@ -19,8 +19,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from hydra_plugins.torchrefrac_sweeper.messages import COMPOSITION_ERRORS, one_sentence
 from torchrefrac.files.run import RunRecord, RunStatus
-from torchrefrac.sweeps.failures import unusable
-from torchrefrac.sweeps.folder import SweepError, SweepFolder
+from torchrefrac.sweeps.folder import SweepError, SweepFolder, unusable
 from torchrefrac.sweeps.jobs import Job, by_name, ending, plan
 
 QUEUES = "hydra_plugins.torchrefrac_sweeper._queues"

@@ -7,10 +7,8 @@ import torch
 
 from torchrefrac.evaluate.dense_metrics import evaluate_dense
 from torchrefrac.figures import dense as dense_figures
-from torchrefrac.figures.dense import draw_dense_views
-from torchrefrac.figures.depth_map import draw_depth_map
-from torchrefrac.figures.error_map import ErrorPanel, draw_error_map, error_panel
-from torchrefrac.figures.panels import EMPTY, from_side, oblique
+from torchrefrac.figures.dense import draw_dense_views, draw_depth_map, draw_error_map, error_panel
+from torchrefrac.figures.panels import EMPTY, Column, from_side, oblique
 from torchrefrac.figures.side_views import SideView
 from torchrefrac.files.library import embedded_scene
 from torchrefrac.files.truth import load_truth
@@ -51,7 +49,7 @@ def _colors(path, part=slice(None)):
 @pytest.mark.parametrize(("error", "which"), [(-0.2, 0), (0.2, 1), (0.0, 2)])
 def test_too_low_is_red_too_high_is_blue_and_right_is_pale(truth, tmp_path, error, which):
     points = _sheet(truth, error)
-    panel = ErrorPanel("Refraction", "", points, torch.full((len(points),), error, dtype=DOUBLE), "cm")
+    panel = Column("Refraction", "", points, torch.full((len(points),), error, dtype=DOUBLE), "cm")
 
     draw_error_map([panel], truth, tmp_path / "error.png", limit=0.2)
 
@@ -64,7 +62,7 @@ def test_the_upper_surface_hides_the_lower_one_from_above(truth, tmp_path):
     points = torch.cat((_sheet(truth, 40.0), _sheet(truth, 0.0)))
     error = torch.tensor((0.2, -0.2), dtype=DOUBLE).repeat_interleave(len(points) // 2)
 
-    draw_error_map([ErrorPanel("Refraction", "", points, error, "cm")], truth, tmp_path / "error.png", limit=0.2)
+    draw_error_map([Column("Refraction", "", points, error, "cm")], truth, tmp_path / "error.png", limit=0.2)
 
     red, blue, _ = _colors(tmp_path / "error.png", slice(0, 700))
     assert blue > 0.3
@@ -76,7 +74,7 @@ def test_on_one_surface_neither_the_high_nor_the_low_points_win(truth, tmp_path,
     points = _sheet(truth, 0.0, 400)[: len(error)]
     points = points + torch.tensor((0.0, 0.0, 1.0), dtype=DOUBLE) * error[:, None]
 
-    draw_error_map([ErrorPanel("Refraction", "", points, error, "cm")], truth, tmp_path / "error.png", limit=0.05)
+    draw_error_map([Column("Refraction", "", points, error, "cm")], truth, tmp_path / "error.png", limit=0.05)
 
     red, blue, _ = _colors(tmp_path / "error.png", slice(0, 700))
     assert red == pytest.approx(blue, rel=0.2)
@@ -86,7 +84,7 @@ def test_on_one_surface_neither_the_high_nor_the_low_points_win(truth, tmp_path,
 @pytest.mark.parametrize("order", [1, -1])
 def test_without_a_limit_the_panel_with_the_smallest_errors_gives_the_scale(truth, tmp_path, draw, order):
     points, noise = _sheet(truth, 0.0), draw.normal(10_000)
-    panels = [ErrorPanel(f"{size}", "", points, size * noise, "cm") for size in (0.04, 7.0)][::order]
+    panels = [Column(f"{size}", "", points, size * noise, "cm") for size in (0.04, 7.0)][::order]
 
     draw_error_map(panels, truth, tmp_path / "own.png")
     draw_error_map(panels, truth, tmp_path / "given.png", limit=0.2)
@@ -110,7 +108,7 @@ def test_the_panel_of_a_cloud_says_how_accurate_it_is(truth):
         "RMS 0.237 cm over 100.0 % inliers",
     ]
     torch.testing.assert_close(panel.points, points)
-    torch.testing.assert_close(panel.error, torch.tensor((0.15, 0.3), dtype=DOUBLE).repeat_interleave(100))
+    torch.testing.assert_close(panel.values, torch.tensor((0.15, 0.3), dtype=DOUBLE).repeat_interleave(100))
 
 
 def test_no_more_points_are_drawn_than_can_be_seen(truth, monkeypatch):
@@ -119,7 +117,7 @@ def test_no_more_points_are_drawn_than_can_be_seen(truth, monkeypatch):
     panel = error_panel("none", _cloud(_sheet(truth, 0.0, 10)), IDENTITY, truth, {})
 
     assert panel.caption == "100 points"
-    assert len(panel.points) == len(panel.error) == 50
+    assert len(panel.points) == len(panel.values) == 50
 
 
 @pytest.mark.parametrize("with_truth", [True, False])

@@ -11,11 +11,10 @@ import pytest
 from torchrefrac.figures.plotting import blank_figure
 from torchrefrac.figures.side_views import MODEL_COLORS, TITLES
 from torchrefrac.files.run import RunRecord
-from torchrefrac.sweeps.axes import set_heights
-from torchrefrac.sweeps.design import load_run, load_runs, short_keys, what_varied
+from torchrefrac.sweeps.design import load_run, load_runs, short_keys, shown_together, what_varied
+from torchrefrac.sweeps.drawing import set_heights
 from torchrefrac.sweeps.figure import measures_of
 from torchrefrac.sweeps.lines import lines_of, spots_of
-from torchrefrac.sweeps.pictured import shown_together
 from torchrefrac.sweeps.summary import write_summary
 from torchrefrac.sweeps.table import csv_text, results_table
 

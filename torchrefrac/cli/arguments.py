@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
 from hydra.errors import OverrideParseException
 
 from torchrefrac.cli.conf import CONF
@@ -40,12 +39,6 @@ def _left_to_the_jobs(argument: str) -> str:
         (override,) = OverridesParser.create().parse_overrides([argument])
     except OverrideParseException:
         return argument  # Hydra names what is wrong with it
-    return argument if _is_of_jobs(override) else f"{override.get_key_element()}=choice({_value(argument)})"
-
-
-def _is_of_jobs(override: Override) -> bool:
-    return override.is_sweep_override() or override.is_delete()
-
-
-def _value(argument: str) -> str:
-    return argument.partition("=")[2]
+    if override.is_sweep_override() or override.is_delete():
+        return argument
+    return f"{override.get_key_element()}=choice({argument.partition('=')[2]})"

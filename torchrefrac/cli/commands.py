@@ -4,7 +4,7 @@ import os
 import shlex
 import sys
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,6 @@ from torchrefrac.files.truth import load_truth
 from torchrefrac.html import write_report
 from torchrefrac.record.recorders import RunRecorders, run_recorders
 from torchrefrac.record.summary import adjustment_lines, dense_lines, reconstruction_lines, summary
-from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture
 from torchrefrac.sweeps.jobs import by_name
 
@@ -44,8 +43,7 @@ def reconstruct(config: DictConfig) -> None:
         return
     (folder / METRICS).unlink(missing_ok=True)
     try:
-        options = run_options(config)
-        reconstruct_into(folder, options, settings)
+        reconstruct_into(folder, run_options(config), settings)
     except EXPECTED as error:
         keep_failure(error, config, list(settings.overrides.task), folder)
         tell(error, folder)
@@ -64,7 +62,7 @@ def reconstruct_into(folder: Path, options: RunOptions, settings: Any) -> None:
     quiet = options.output.quiet or not is_watched(settings)
     overrides = by_name(settings.overrides.task)
     with _recorders(folder, quiet) as recorder:
-        capture = open_capture(options, recorder)
+        capture = load_capture(scene_folder(options.scene, options.output.cache, recorder))
         model = options.reconstruction.model.name
         if not quiet:
             into = os.path.relpath(folder)
@@ -74,11 +72,6 @@ def reconstruct_into(folder: Path, options: RunOptions, settings: Any) -> None:
         recorder.hparams(_compared(options, capture, overrides), metrics)
     if not quiet:
         print(summary(reconstruction_lines(metrics)))
-
-
-def open_capture(options: RunOptions, recorder: Recorder) -> Capture:
-    """The photographs of a run; those of a made scene are rendered where they are not there yet."""
-    return load_capture(scene_folder(options.scene, options.output.cache, recorder))
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="adjust")
@@ -137,11 +130,9 @@ def _densify(sparse: SparseRun, options: DensifyOptions, config: DictConfig) -> 
         print(summary(dense_lines(metrics)))
 
 
-@contextmanager
-def _recorders(folder: Path, quiet: bool, append: bool = False) -> Generator[RunRecorders, None, None]:
+def _recorders(folder: Path, quiet: bool, append: bool = False) -> AbstractContextManager[RunRecorders]:
     about = {"command": shlex.join(["torchrefrac", *(typed or sys.argv[1:])])}
-    with run_recorders(folder, quiet, about=about, expected=EXPECTED, append=append) as recorder:
-        yield recorder
+    return run_recorders(folder, quiet, about=about, expected=EXPECTED, append=append)
 
 
 @contextmanager

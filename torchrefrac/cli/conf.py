@@ -7,6 +7,7 @@ people: `torchrefrac --help`.
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +44,9 @@ def read_options(file: Path, package: str, chosen: Mapping[str, str]) -> tuple[d
 
     Raises ValueError for a choice that does not exist.
     """
-    lines, root = _parsed(file)
-    own = {option.name: option for option in _leaves(root, lines, package)}
+    text = file.read_text(encoding="utf-8")
+    root = yaml.compose(text, _Loader)
+    own = {option.name: option for option in _leaves(root, text.splitlines(), package)}
     others: dict[str, Option] = {}
     groups: list[Group] = []
     for key, listed in _defaults(root):
@@ -76,23 +78,11 @@ def read_header(file: Path) -> str:
 def first_comment(file: Path) -> str:
     """The comment that a file begins with, in one line."""
     lines = file.read_text(encoding="utf-8").splitlines()
-    block = [line[1:].strip() for line in _while_comment(lines) if not line.startswith("# @package")]
-    return " ".join(block)
+    block = takewhile(lambda line: line.startswith("#"), lines)
+    return " ".join(line[1:].strip() for line in block if not line.startswith("# @package"))
 
 
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-
-
-def _parsed(file: Path) -> tuple[list[str], yaml.MappingNode]:
-    text = file.read_text(encoding="utf-8")
-    return text.splitlines(), yaml.compose(text, _Loader)
-
-
-def _while_comment(lines: list[str]) -> Iterator[str]:
-    for line in lines:
-        if not line.startswith("#"):
-            return
-        yield line
 
 
 def _defaults(root: yaml.MappingNode) -> list[tuple[str, str | None]]:

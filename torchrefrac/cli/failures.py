@@ -15,23 +15,12 @@ from torchrefrac.dense import DenseError
 from torchrefrac.files.run import METRICS, RunRecordError
 from torchrefrac.scene import CaptureError, SceneError, SurveyError
 from torchrefrac.sfm import NoInitialPairError
-from torchrefrac.sweeps.failures import append_traceback, write_failure
-from torchrefrac.sweeps.folder import SweepError
+from torchrefrac.sweeps.folder import SweepError, append_traceback, write_failure
 
 EXPECTED = (
-    CaptureError,
-    DenseError,
-    MissingMandatoryValue,
-    NoInitialPairError,
-    OptionError,
-    OSError,
-    ReconstructionError,
-    RunRecordError,
-    SceneError,
-    SurveyError,
-    SweepError,
-    UnadjustableError,
-)
+    CaptureError, DenseError, MissingMandatoryValue, NoInitialPairError, OptionError, OSError, ReconstructionError,
+    RunRecordError, SceneError, SurveyError, SweepError, UnadjustableError,
+)  # fmt: skip
 """Errors whose message is for the user; all others are bugs, and come with a traceback."""
 
 failed: list[str] = []

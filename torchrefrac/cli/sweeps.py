@@ -1,7 +1,9 @@
 """What is printed and written while a sweep runs, and when it has ended."""
 
 import os
+import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +17,12 @@ from omegaconf import DictConfig
 from torchrefrac.cli.arguments import typed
 from torchrefrac.cli.commands import is_watched
 from torchrefrac.cli.failures import failed, keep_failure, tell
+from torchrefrac.files.run import RunRecord, RunStatus
 from torchrefrac.html import write_job_reports, write_sweep_report
-from torchrefrac.record.terminal import TerminalRecorder
+from torchrefrac.record.terminal import TerminalRecorder, wrapped
 from torchrefrac.recorder import SilentRecorder
 from torchrefrac.sweeps.comparison import compare
-from torchrefrac.sweeps.ends import resume_lines, unrecorded_lines
-from torchrefrac.sweeps.jobs import ending, find_job, jobs_and_records, opening, record_of
+from torchrefrac.sweeps.jobs import Job, ending, find_job, jobs_and_records, opening, record_of
 from torchrefrac.sweeps.summary import write_summary
 
 
@@ -62,16 +64,28 @@ class CompareRuns(Callback):
         if rest:
             failed.append(f"{rest} of {len(jobs)} jobs are not complete")
         runs = [record.folder for record in records if record.metrics]
-        told = ["\n".join(unrecorded_lines(jobs, records))]
+        told = ["\n".join(_unrecorded(jobs, records))]
         if runs:
             try:
                 told += _write(folder, runs, config)
             except OSError as error:
                 tell(error, folder)
         if rest:
-            told.append("\n".join(resume_lines(folder, typed)))
+            others = [text for text in typed if not text.startswith("out=")]
+            command = shlex.join(["torchrefrac", *others, f"out={os.path.relpath(folder)}"])
+            told.append(f"to run the rest, with the complete jobs kept:\n  {command}")
         if rest or not config.quiet:
             print("", *filter(None, told), sep="\n\n")
+
+
+def _unrecorded(jobs: Sequence[Job], records: Sequence[RunRecord]) -> list[str]:
+    """What no metrics.json says: which jobs failed and could not write so, and how many did not end."""
+    ended = list(zip(jobs, records, strict=True))
+    lost = [(job, end) for job, end in ended if end.status is RunStatus.FAILED and not end.metrics]
+    stopped = sum(end.status is not RunStatus.FAILED and not end.is_complete for end in records)
+    lines = [f"{len(lost)} of {len(jobs)} jobs failed and could not write so:"] if lost else []
+    lines += [wrapped(f"- {job.folder} ({job.label}): {end.reason}") for job, end in lost]
+    return lines + ([f"{stopped} of {len(jobs)} jobs did not come to an end"] if stopped else [])
 
 
 def _write(folder: Path, runs: list[Path], config: DictConfig) -> list[str]:

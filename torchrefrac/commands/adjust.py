@@ -171,10 +171,9 @@ def _summary(given: Scene, adjusted: Scene, outcome: Outcome) -> dict[str, Any]:
 
 def _lost(scene: Scene, survey: Survey) -> dict[str, Any]:
     """Where the ground control points are, and what did not fit the rest."""
-    count = len(survey.control_names)
-    ties = len(scene.points) - count
-    control = zip(survey.control_names, scene.points[ties:].tolist(), scene.placed[ties:].tolist(), strict=True)
-    control = list(control)
+    ties = len(scene.points) - len(survey.control_names)
+    where, placed = scene.points[ties:].tolist(), scene.placed[ties:].tolist()
+    control = list(zip(survey.control_names, where, placed, strict=True))
     views = zip(scene.views.names, scene.views.registered.tolist(), strict=True)
     found = {
         "marks": {name: position for name, position, placed in control if placed},

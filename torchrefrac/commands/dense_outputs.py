@@ -5,11 +5,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from torchrefrac.config.outputs import DenseOutputs
+from torchrefrac.config import DenseOutputs
 from torchrefrac.dense import Dense, DenseOptions, depth_maps
-from torchrefrac.figures.dense import dense_view, draw_dense_views
-from torchrefrac.figures.depth_map import draw_depth_map
-from torchrefrac.figures.error_map import draw_error_map, error_panel
+from torchrefrac.figures.dense import dense_view, draw_dense_views, draw_depth_map, draw_error_map, error_panel
 from torchrefrac.figures.raster import draw_raster
 from torchrefrac.files.dense import write_dense, write_depth_map
 from torchrefrac.files.mesh import height_field_mesh, write_mesh

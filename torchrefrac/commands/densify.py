@@ -14,8 +14,7 @@ from torchrefrac.commands.dense_outputs import (
     write_depth_maps,
 )
 from torchrefrac.commands.run_folder import DENSE, RunFolder, read_record
-from torchrefrac.config import DensifyOptions, OptionError
-from torchrefrac.config.outputs import DenseOutputs
+from torchrefrac.config import DenseOutputs, DensifyOptions, OptionError
 from torchrefrac.dense import DenseError, DenseOptions, FolderStore, densify
 from torchrefrac.dense.images import photographs
 from torchrefrac.dense.rasterize import raster_of

@@ -61,8 +61,11 @@ def reconstruct(
     matches = stage.part("matching", lambda: _match(features, options, recorder))
     ratio = options.water.ratio_of(capture.index_ratio)
     if options.model.name == "refractive" and ratio > 1.0 and not capture.has_gravity:
-        unlevelled = capture
-        capture = stage("levelling", lambda: _level(unlevelled, matches, features, ratio, options, recorder))
+        given, how = capture, options.sfm
+        try:
+            capture = stage("levelling", lambda: level_capture(given, matches, features, ratio, how, recorder))
+        except UnknownVerticalError as error:
+            raise ReconstructionError(str(error)) from None
     initializer, sfm = _initializer(capture, ratio, options, recorder)
     pairs = stage("matching", lambda: _verify(matches, features, initializer, options, generator, recorder))
     observations, colors = build_tracks(features, [pair.pair for pair in pairs])
@@ -159,20 +162,6 @@ def _match(features: list[Features], options: Options, recorder: Recorder) -> li
         PairMatches(i, j, match(features[i].descriptors, features[j].descriptors, options.matching))
         for i, j in recorder.track(every, len(every), "matching", "pair")
     ]
-
-
-def _level(
-    capture: Capture,
-    matches: list[PairMatches],
-    features: list[Features],
-    ratio: float,
-    options: Options,
-    recorder: Recorder,
-) -> Capture:
-    try:
-        return level_capture(capture, matches, features, ratio, options.sfm, recorder)
-    except UnknownVerticalError as error:
-        raise ReconstructionError(str(error)) from None
 
 
 def _verify(

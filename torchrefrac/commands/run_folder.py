@@ -1,16 +1,17 @@
 """The folder that a run leaves behind: results of every finished stage, and metrics.json that says how far it got."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Shaped
+from torch import Tensor
 
 from torchrefrac.atomic import replacing
 from torchrefrac.commands.dense_outputs import remove_dense_outputs
-from torchrefrac.features import Features
 from torchrefrac.figures.side_views import draw_side_views, side_view
 from torchrefrac.files.cameras import write_cameras, write_points
 from torchrefrac.files.run import METRICS, RunRecord
@@ -18,7 +19,6 @@ from torchrefrac.files.tracks import write_tracks
 from torchrefrac.geometry import Similarity
 from torchrefrac.record.memory import forget_peak_memory, peak_memory_gib
 from torchrefrac.scene import Scene, Truth
-from torchrefrac.sfm import VerifiedPair
 
 RESULTS = (
     "features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png", "report.html",
@@ -69,11 +69,14 @@ class RunFolder:
     def stage_done(self, name: str, product: Any, seconds: float) -> None:
         """Write what a stage made."""
         if name == "features":
-            _write_features(product, self.folder / "features.npz")
+            pixels = {f"pixels_{i:04d}": found.pixels for i, found in enumerate(product)}
+            _write_arrays(pixels, self.folder / "features.npz")
         elif name == "levelling":
             self.metrics |= product.gravity_metrics | {"gravity": "estimated"}
         elif name == "matching":
-            _write_matches(product, self.folder / "matches.npz")
+            pairs = [verified.pair for verified in product]
+            matches = {f"matches_{pair.first:04d}_{pair.second:04d}": pair.matches for pair in pairs}
+            _write_arrays(matches, self.folder / "matches.npz")
         elif name == "sparse":
             write_cameras(product, self.folder / "cameras.json")
             sigma = product.assessment.point_sigma
@@ -83,11 +86,7 @@ class RunFolder:
         self.metrics[f"seconds_{name}"] = round(seconds, 3)
 
     def complete(
-        self,
-        scene: Scene,
-        metrics: dict[str, Any],
-        truth: Truth | None,
-        alignment: Similarity | None,
+        self, scene: Scene, metrics: dict[str, Any], truth: Truth | None, alignment: Similarity | None
     ) -> None:
         """Take in the metrics and draw the figure."""
         self.metrics |= metrics
@@ -129,13 +128,7 @@ def read_record(folder: Path) -> RunRecord:
     return RunRecord.read(folder) if (folder / METRICS).is_file() else RunRecord(folder)
 
 
-def _write_features(features: Sequence[Features], path: Path) -> None:
-    arrays = {f"pixels_{i:04d}": f.pixels.numpy() for i, f in enumerate(features)}
+def _write_arrays(arrays: Mapping[str, Shaped[Tensor, "..."]], path: Path) -> None:
+    plain = {name: array.numpy() for name, array in arrays.items()}
     with replacing(path) as temporary:
-        np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
-
-
-def _write_matches(pairs: Sequence[VerifiedPair], path: Path) -> None:
-    arrays = {f"matches_{p.pair.first:04d}_{p.pair.second:04d}": p.pair.matches.numpy() for p in pairs}
-    with replacing(path) as temporary:
-        np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
+        np.savez_compressed(temporary, **plain)  # type: ignore[arg-type]

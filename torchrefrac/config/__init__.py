@@ -4,6 +4,7 @@ from torchrefrac.config.build import OptionError, build
 from torchrefrac.config.options import (
     FRESH_WATER,
     AdjustOptions,
+    DenseOutputs,
     DensifyOptions,
     ModelOptions,
     Options,
@@ -15,18 +16,6 @@ from torchrefrac.config.options import (
 from torchrefrac.config.scenes import FolderOptions, build_scene, scene_folder
 
 __all__ = [
-    "FRESH_WATER",
-    "AdjustOptions",
-    "DensifyOptions",
-    "FolderOptions",
-    "ModelOptions",
-    "OptionError",
-    "Options",
-    "OutputOptions",
-    "PlaneOptions",
-    "RunOptions",
-    "WaterOptions",
-    "build",
-    "build_scene",
-    "scene_folder",
-]
+    "FRESH_WATER", "AdjustOptions", "DenseOutputs", "DensifyOptions", "FolderOptions", "ModelOptions", "OptionError",
+    "Options", "OutputOptions", "PlaneOptions", "RunOptions", "WaterOptions", "build", "build_scene", "scene_folder",
+]  # fmt: skip

@@ -9,16 +9,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchrefrac.figures.plotting import (
-    ESTIMATE,
-    MEASURED,
-    TRUE,
-    legend_above,
-    legend_key,
-    number_images,
-    panels,
-    rounded,
-)
+from torchrefrac.figures import plotting
+from torchrefrac.figures.plotting import ESTIMATE, MEASURED, TRUE, legend_above, legend_key, number_images, rounded
 from torchrefrac.figures.side_views import true_of
 from torchrefrac.geometry import split_heading
 from torchrefrac.scene import Capture, Scene, Truth
@@ -50,13 +42,11 @@ def attitudes(scene: Scene, capture: Capture | None, truth: Truth | None) -> tup
     """
     images = scene.views.registered.nonzero()[:, 0]
     down, heading = split_heading(scene.views.rotation[images])
-    heading = heading[:1] + torch.cat((heading.new_zeros(1), _shortest(heading.diff()))).cumsum(dim=0)
+    heading = heading[:1] + torch.cat((heading.new_zeros(1), wrapped(heading.diff().rad2deg()).deg2rad())).cumsum(dim=0)
     sensed_down = sensed_heading = true_down = true_heading = None
     if capture is not None and capture.names == scene.views.names:
-        if capture.has_gravity:
-            sensed_down = capture.down_in_cam[images]
-        if capture.has_heading:
-            sensed_heading = capture.heading[images].rad2deg()
+        sensed_down = capture.down_in_cam[images] if capture.has_gravity else None
+        sensed_heading = capture.heading[images].rad2deg() if capture.has_heading else None
     if truth is not None:
         names = [scene.views.names[i] for i in images.tolist()]
         true_down, turn = split_heading(true_of(truth.rotation, truth, names))
@@ -73,7 +63,7 @@ def attitudes(scene: Scene, capture: Capture | None, truth: Truth | None) -> tup
 
 def attitude_figure(images: Int[Tensor, " k"], angles: Sequence[Angle], count: int) -> Any:
     """A row an angle: on the left what it is, on the right by how much estimated and known differ."""
-    figure, grid = panels(len(angles), 2, 0.7 + 1.75 * len(angles), sharex="col", width_ratios=(1.0, 1.0))
+    figure, grid = plotting.panels(len(angles), 2, 0.7 + 1.75 * len(angles), sharex="col", width_ratios=(1.0, 1.0))
     numbers = (images + 1).numpy()
     for (values, errors), angle in zip(grid, angles, strict=True):
         if angle.true is not None:
@@ -81,7 +71,7 @@ def attitude_figure(images: Int[Tensor, " k"], angles: Sequence[Angle], count: i
         if angle.measured is not None:
             values.plot(numbers, angle.measured.numpy(), "s", mfc="none", color=MEASURED, ms=7, zorder=3)
         values.plot(numbers, angle.estimated.numpy(), "o", color=ESTIMATE, ms=4, zorder=4)
-        values.set_ylabel(f"{angle.name} (°)", fontsize=10)
+        values.set_ylabel(f"{angle.name} (°)")
         errors.axhline(0.0, color="#9aa1a8", lw=1.0)
         for reference, color, marker in ((angle.measured, MEASURED, "s"), (angle.true, TRUE, "D")):
             error = angle.error(reference)
@@ -114,10 +104,6 @@ def attitude_words(angles: Sequence[Angle]) -> str:
 def wrapped(degrees: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
     """The same angles between -180 and 180 degrees."""
     return torch.remainder(degrees + 180.0, 360.0) - 180.0
-
-
-def _shortest(turns: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
-    return wrapped(turns.rad2deg()).deg2rad()
 
 
 def _rms(values: Float[Tensor, " n"]) -> float:

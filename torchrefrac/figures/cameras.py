@@ -7,18 +7,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.figures.panels import OUTLINE, TURN_DEG, from_side, oblique, outlines
-from torchrefrac.figures.plotting import (
-    SECOND,
-    WIDTH,
-    blank_figure,
-    color_bar,
-    color_scale,
-    height_colors,
-    legend_above,
-    legend_key,
-)  # fmt: skip
-from torchrefrac.figures.side_views import INK, WATER
+from torchrefrac.figures import plotting
+from torchrefrac.figures.panels import OUTLINE, TURN_DEG, from_side, oblique
+from torchrefrac.figures.plotting import SECOND, WIDTH, blank_figure, height_colors, legend_above, legend_key
+from torchrefrac.figures.side_views import INK, WATER, outlines
 from torchrefrac.scene import Scene, Truth
 
 SLIM, TALL = 0.35, 1.15  # a panel, its height over its width
@@ -32,7 +24,7 @@ def cameras_figure(shown: Scene, truth: Truth | None) -> Any:
     """
     unit, height = shown.length_unit, shown.points[:, 2]
     low, high = (float(height.quantile(tail)) for tail in TAILS) if len(height) else (0.0, 1.0)
-    colored = color_scale(low, max(high, low + 1e-9), height_colors())
+    colored = plotting.color_scale(low, max(high, low + 1e-9), height_colors())
     frames = (torch.eye(3, dtype=torch.float64), oblique(from_side(None), -TURN_DEG))
     limits = [_limits(shown, truth, frame) for frame in frames]
     widths = [x[1] - x[0] for x, _ in limits]
@@ -44,14 +36,11 @@ def cameras_figure(shown: Scene, truth: Truth | None) -> Any:
         panel.set(xlim=x, ylim=y, aspect="equal")
         panel.tick_params(labelsize=8)
     views[0].set_title("from above", fontsize=11)
-    views[0].set_xlabel(f"x ({unit})", fontsize=10)
-    views[0].set_ylabel(f"y ({unit})", fontsize=10)
+    views[0].set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
     views[1].set_title("obliquely", fontsize=11)
-    views[1].set_xticks([])
-    views[1].set_yticks([])
-    for spine in views[1].spines.values():
-        spine.set_visible(False)
-    color_bar(figure, colored, list(views), f"height ({unit})")
+    views[1].set(xticks=[], yticks=[])
+    views[1].spines[:].set_visible(False)
+    plotting.color_bar(figure, colored, list(views), f"height ({unit})")
     handles = [legend_key(color=INK, lw=1.2, label="cameras"), legend_key(color=WATER, lw=1.0, label="path")]
     if truth is not None:
         handles.append(legend_key(marker="+", ls="", color=SECOND, label="true camera centres"))
@@ -104,9 +93,7 @@ def pyramids(shown: Scene) -> Float[Tensor, "lines 4 3"]:
     return torch.stack((apex, ends, ends.roll(-1, dims=1), apex), dim=2).flatten(0, 1)
 
 
-def _limits(
-    shown: Scene, truth: Truth | None, frame: Float[Tensor, "3 3"]
-) -> tuple[tuple[float, float], tuple[float, float]]:
+def _limits(shown: Scene, truth: Truth | None, frame: Float[Tensor, "3 3"]) -> list[list[float]]:
     """Of cameras, true planes, and all but stray points."""
     parts = [pyramids(shown).flatten(0, 1) @ frame.mT, outlines(truth).flatten(0, 1) @ frame.mT]
     if len(shown.points):
@@ -114,5 +101,4 @@ def _limits(
     every = torch.cat(parts)[:, :2]
     low, high = every.amin(dim=0), every.amax(dim=0)
     margin = 0.04 * (high - low).max().clamp(min=1e-9)
-    ends = torch.stack((low - margin, high + margin), dim=-1).tolist()
-    return (ends[0][0], ends[0][1]), (ends[1][0], ends[1][1])
+    return torch.stack((low - margin, high + margin), dim=-1).tolist()

@@ -1,4 +1,7 @@
-"""Pictures of dense reconstructions. Of more than MOST points a panel draws every k-th."""
+"""Pictures of dense reconstructions, of their errors, and of what one view sees of them.
+
+Of more than MOST points a panel draws every k-th.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,28 +13,24 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from torchrefrac.figures.panels import Column, Row, draw_grid, from_side, oblique, outlines
-from torchrefrac.figures.side_views import SideView, side_view
+from torchrefrac.evaluate.dense_metrics import INLIER_SIGMAS, MAD_TO_SIGMA, signed_plane_distance
+from torchrefrac.figures.panels import EMPTY, Column, Row, draw_grid, from_side, oblique, rounded_up
+from torchrefrac.figures.plotting import blank_figure, color_bar, save
+from torchrefrac.figures.side_views import PANEL_INCHES, TITLES, SideView, outlines, side_view
 from torchrefrac.geometry import Similarity
-from torchrefrac.scene import Scene
-from torchrefrac.scene.dense import DenseCloud
-from torchrefrac.scene.truth import Truth
+from torchrefrac.scene import DenseCloud, DepthMap, Scene, Truth
 
 MOST = 150_000
-HEIGHT_COLORS = "jet_r"
+HEIGHT_COLORS, DEPTH_COLORS, ERROR_COLORS = "jet_r", "viridis_r", "RdYlBu"
 
 
 def dense_view(
-    model: str,
-    cloud: DenseCloud,
-    scene: Scene,
-    aligned: Similarity | None,
-    metrics: Mapping[str, Any],
+    model: str, cloud: DenseCloud, scene: Scene, aligned: Similarity | None, metrics: Mapping[str, Any]
 ) -> SideView:
     """The panel of a dense cloud for `draw_dense_views`, with the cameras that it was made from."""
-    points = thinned(cloud.points)
-    view = side_view(model, scene.with_points(points, thinned(cloud.colors)), aligned, metrics)
-    return replace(view, caption=caption_of(len(cloud), metrics, cloud.length_unit))
+    shown = scene.with_points(_thinned(cloud.points), _thinned(cloud.colors))
+    view = side_view(model, shown, aligned, metrics)
+    return replace(view, caption=_caption(len(cloud), metrics, cloud.length_unit))
 
 
 def draw_dense_views(views: Sequence[SideView], truth: Truth | None, path: Path) -> None:
@@ -40,23 +39,75 @@ def draw_dense_views(views: Sequence[SideView], truth: Truth | None, path: Path)
     Seen obliquely from above, and underneath from the side, with cameras and water, as `draw_side_views` does. The true
     planes are drawn as lines. One scale for all panels.
     """
-    unit = views[0].length_unit
-    shown = [thinned(view.points) for view in views]
-    columns = [
-        Column(v.title, v.caption, points, points[:, 2], v.centers, v.has_water, unit)
-        for v, points in zip(views, shown, strict=True)
-    ]
-    side = from_side(truth)
+    unit, side = views[0].length_unit, from_side(truth)
+    columns = [Column(v.title, v.caption, v.points, v.points[:, 2], unit, v.centers, v.has_water) for v in views]
     rows = (
         Row(oblique(side), None, False, "white"),
         Row(side, (f"horizontal ({unit})", f"height ({unit})"), True, "white"),
     )
     true_heights = outlines(truth)[..., 2].flatten()
-    low, high = range_of(true_heights, 1.0) if len(true_heights) else range_of(torch.cat(shown)[:, 2], 0.98)
+    low, high = _ends(true_heights, 1.0) if len(true_heights) else _ends(torch.cat([c.values for c in columns]), 0.98)
     draw_grid(columns, rows, truth, (HEIGHT_COLORS, low, high, f"height ({unit})"), path)
 
 
-def caption_of(count: int, metrics: Mapping[str, Any], unit: str) -> str:
+def error_panel(model: str, cloud: DenseCloud, aligned: Similarity, truth: Truth, metrics: Mapping[str, Any]) -> Column:
+    """The panel of a dense cloud for `draw_error_map`: points in the truth's frame, with their signed distances to the
+    true planes; how accurate it is, from the metrics of `evaluate_dense`, stands underneath.
+
+    `aligned` maps the cloud's frame to that of the truth. Raises ValueError where the truth has no planes.
+    """
+    unit, points = truth.length_unit, aligned.apply(_thinned(cloud.points))
+    error, _ = signed_plane_distance(points, truth)
+    return Column(TITLES.get(model, model), _caption(len(cloud), metrics, unit), points, error, unit)
+
+
+def draw_error_map(panels: Sequence[Column], truth: Truth, path: Path, limit: float | None = None) -> None:
+    """Reconstructions side by side, coloured by signed distance to the nearest true plane: red below, blue above.
+
+    Seen from above (x right, y up), and underneath from the side, as `draw_side_views` does. All panels share one scale
+    from -limit to limit; without `limit` it is three robust standard deviations of the panel with the smallest errors,
+    rounded up to 1, 2 or 5 times a power of ten, so that what the best of them leaves can be seen.
+    """
+    unit = truth.length_unit
+    if limit is None:
+        spreads = [MAD_TO_SIGMA * float(panel.values.abs().median()) for panel in panels if len(panel.values)]
+        limit = rounded_up(INLIER_SIGMAS * min(spreads, default=0.0))
+    rows = (
+        Row(torch.eye(3, dtype=torch.float64), (f"x ({unit})", f"y ({unit})"), False, EMPTY),
+        Row(from_side(truth), (f"horizontal ({unit})", f"height ({unit})"), False, EMPTY),
+    )
+    draw_grid(panels, rows, truth, (ERROR_COLORS, -limit, limit, f"above the true plane ({unit})"), path)
+
+
+def draw_depth_map(depth_map: DepthMap, path: Path) -> None:
+    """What one image sees: the depth along its optical axis, and the height above the water. Grey where nothing is."""
+    from matplotlib import colormaps  # noqa: PLC0415 - slow to import
+
+    valid, unit = depth_map.valid, depth_map.length_unit
+    height, width = (size * depth_map.step for size in valid.shape)
+    figure = blank_figure(2.0 * PANEL_INCHES + 2.6, 1.1 + PANEL_INCHES * height / width)
+    pictures = (
+        ("depth", f"depth along the optical axis ({unit})", depth_map.depth, DEPTH_COLORS),
+        ("height", f"height above the water ({unit})", depth_map.points[..., 2], HEIGHT_COLORS),
+    )
+    for panel, (title, label, values, colors) in zip(figure.subplots(1, 2), pictures, strict=True):
+        low, high = _ends(values[valid], 0.98)
+        image = panel.imshow(
+            np.ma.masked_array(values.numpy(), ~valid.numpy()), cmap=colormaps[colors].with_extremes(bad=EMPTY),
+            vmin=low, vmax=high, extent=(0, width, height, 0), interpolation="nearest",
+        )  # fmt: skip
+        panel.set_title(title, fontsize=11)
+        panel.set_xlabel("x (px)", fontsize=9)
+        panel.set_ylabel("y (px)", fontsize=9)
+        panel.tick_params(labelsize=8)
+        color_bar(figure, image, [panel], label)
+    known = f"{100.0 * float(valid.double().mean()):.1f} % of {depth_map.step} x {depth_map.step} pixel cells"
+    spread = f", sigma {float(depth_map.sigma[valid].median()):.2g} {unit} (median)" if valid.any() else ""
+    figure.suptitle(f"{depth_map.name}: {known}{spread}")
+    save(figure, path)
+
+
+def _caption(count: int, metrics: Mapping[str, Any], unit: str) -> str:
     """How many points there are, and how accurate they are where the metrics of `evaluate_dense` say so."""
     start, end = "dense_accuracy_within_", f"_{unit}"
     keys = [key for key in metrics if key.startswith(start) and key.endswith(end)]
@@ -71,12 +122,12 @@ def caption_of(count: int, metrics: Mapping[str, Any], unit: str) -> str:
     return "\n".join(lines)
 
 
-def thinned(rows: Shaped[Tensor, "n *row"]) -> Shaped[Tensor, "m *row"]:
+def _thinned(rows: Shaped[Tensor, "n *row"]) -> Shaped[Tensor, "m *row"]:
     """Every k-th row, MOST at most."""
     return rows[:: max(1, -(-len(rows) // MOST))]
 
 
-def range_of(values: Float[Tensor, " n"], share: float) -> tuple[float, float]:
+def _ends(values: Float[Tensor, " n"], share: float) -> tuple[float, float]:
     """The ends of the middle `share` of the values; never equal."""
     if not len(values):
         return 0.0, 1.0

@@ -84,8 +84,7 @@ def match_picture(
     """Two photographs, BGR, side by side, with their pixels `one` and `two` joined by lines, of at most about a hundred
     matches; RGB, WIDTH wide."""
     left, right = _narrow(first, WIDTH // 2), _narrow(second, WIDTH // 2)
-    height = max(len(left), len(right))
-    picture = np.zeros((height, WIDTH, 3), dtype=np.uint8)
+    picture = np.zeros((max(len(left), len(right)), WIDTH, 3), dtype=np.uint8)
     picture[: len(left), : WIDTH // 2] = left
     picture[: len(right), WIDTH // 2 :] = right
     chosen = spread(torch.arange(len(one)), MOST_LINES)
@@ -96,17 +95,13 @@ def match_picture(
 
 
 def residual_picture(
-    photograph: UInt8[np.ndarray, "h w 3"],
-    pixels: Float[Tensor, "k 2"],
-    residuals: Float[Tensor, "k 2"],
-    factor: float,
+    photograph: UInt8[np.ndarray, "h w 3"], pixels: Float[Tensor, "k 2"], residuals: Float[Tensor, "k 2"], factor: float
 ) -> UInt8[np.ndarray, "height width 3"]:
     """A photograph, BGR, darkened, with residuals at pixels, both of the photograph, as lines `factor` times as long;
     RGB, WIDTH wide."""
     picture = _narrow(photograph, WIDTH) // 2
     scale = WIDTH / photograph.shape[1]
-    start = pixels * scale
-    _lines(picture, start, start + factor * scale * residuals, YELLOW)
+    _lines(picture, pixels * scale, pixels * scale + factor * scale * residuals, YELLOW)
     return picture
 
 
@@ -130,11 +125,10 @@ def _best(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
     best: list[VerifiedPair] = []
     seen: set[int] = set()
     for pair in ordered:
-        if not seen & {pair.pair.first, pair.pair.second}:
+        if seen.isdisjoint((pair.pair.first, pair.pair.second)):
             best.append(pair)
             seen |= {pair.pair.first, pair.pair.second}
-    rest = [pair for pair in ordered if pair not in best]
-    return (best + rest)[:MOST_PAIRS]
+    return (best + [pair for pair in ordered if pair not in best])[:MOST_PAIRS]
 
 
 def _residuals(scene: Scene) -> tuple[Int[Tensor, " k"], Float[Tensor, "k 2"]]:

@@ -9,9 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.atomic import replacing
-from torchrefrac.figures.plotting import blank_figure, color_bar, color_scale, legend_key
-from torchrefrac.figures.side_views import INK, PANEL_INCHES, WATER, corners_of, side_direction
+from torchrefrac.figures.plotting import blank_figure, color_bar, color_scale, legend_above, legend_key, save
+from torchrefrac.figures.side_views import INK, PANEL_INCHES, WATER, camera_keys, outlines, side_direction
 from torchrefrac.scene.truth import Truth
 
 EMPTY, OUTLINE = "#d4d4d4", "#8c8c8c"
@@ -27,9 +26,9 @@ class Column(NamedTuple):
     caption: str
     points: Float[Tensor, "n 3"]
     values: Float[Tensor, " n"]
-    centers: Float[Tensor, "m 3"]
-    has_water: bool
-    unit: str
+    length_unit: str
+    centers: Float[Tensor, "m 3"] = torch.zeros(0, 3, dtype=torch.float64)
+    has_water: bool = False
 
 
 class Row(NamedTuple):
@@ -70,18 +69,20 @@ def draw_grid(
             panel.set(xlim=x, ylim=y, aspect="equal", facecolor=row.paper)
             panel.tick_params(labelsize=8)
             if row.labels is None:
-                _scale_bar(panel, x, y, columns[0].unit)
+                _scale_bar(panel, x, y, columns[0].length_unit)
             else:
-                panel.set_xlabel(row.labels[0], fontsize=10)
+                panel.set_xlabel(row.labels[0])
         if row.labels is not None:
-            panels[0].set_ylabel(row.labels[1], fontsize=10)
+            panels[0].set_ylabel(row.labels[1])
     for top, bottom, column in zip(grid[0], grid[-1], columns, strict=True):
         top.set_title(column.title, fontsize=13)
-        bottom.set_xlabel(f"{bottom.get_xlabel()}\n{column.caption}", fontsize=10)
+        bottom.set_xlabel(f"{bottom.get_xlabel()}\n{column.caption}")
     color_bar(figure, colored, list(grid.flat), label)
-    _legend(figure, columns, rows, truth)
-    with replacing(path) as temporary:
-        figure.savefig(temporary)
+    handles = camera_keys(any(column.has_water for column in columns)) if any(row.has_cameras for row in rows) else []
+    if len(outlines(truth)):
+        handles.append(legend_key(color=OUTLINE, lw=1.5, label="true planes"))
+    legend_above(figure, handles)
+    save(figure, path)
 
 
 def _draw_points(panel: Any, column: Column, row: Row, colored: Any, blur: float) -> None:
@@ -110,32 +111,17 @@ def _draw_surroundings(panel: Any, column: Column, row: Row, truth: Truth | None
             panel.axhline(0.0, color=WATER, lw=1.2, zorder=2)
 
 
-def _scale_bar(panel: Any, x: tuple[float, float], y: tuple[float, float], unit: str) -> None:
+def _scale_bar(panel: Any, x: Sequence[float], y: Sequence[float], unit: str) -> None:
     """In place of axes, as an oblique view has none: a length that holds for whatever lies across the view."""
     width, height = x[1] - x[0], y[1] - y[0]
     length = rounded_up(0.1 * width)
     start, level = x[0] + 0.04 * width, y[0] + 0.05 * height
     panel.plot((start, start + length), (level, level), "-", color=INK, lw=2.0, zorder=5)
     panel.text(start + 0.5 * length, level + 0.015 * height, f"{length:g} {unit}", ha="center", va="bottom", fontsize=9)
-    panel.set_xticks([])
-    panel.set_yticks([])
+    panel.set(xticks=[], yticks=[])
 
 
-def _legend(figure: Any, columns: Sequence[Column], rows: Sequence[Row], truth: Truth | None) -> None:
-    handles = []
-    if any(row.has_cameras for row in rows):
-        handles.append(legend_key(marker="^", ls="", mfc="none", mec=INK, label="cameras"))
-        if any(column.has_water for column in columns):
-            handles.append(legend_key(color=WATER, label="water surface"))
-    if len(outlines(truth)):
-        handles.append(legend_key(color=OUTLINE, lw=1.5, label="true planes"))
-    if handles:
-        figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=9, frameon=False)
-
-
-def _limits(
-    columns: Sequence[Column], row: Row, truth: Truth | None
-) -> tuple[tuple[float, float], tuple[float, float]]:
+def _limits(columns: Sequence[Column], row: Row, truth: Truth | None) -> list[list[float]]:
     """Horizontal and vertical range of a row: true planes, all but stray points, and what else the row has."""
     shown = [outlines(truth).flatten(0, 1) @ row.frame.mT]
     for column in columns:
@@ -149,8 +135,7 @@ def _limits(
     low, high = every.amin(dim=0), every.amax(dim=0)
     half = 0.56 * (high - low)
     half = half.clamp(min=SLIMMEST * float(half.max())) if half.max() > 0.0 else torch.ones_like(half)
-    ends = torch.stack((0.5 * (low + high) - half, 0.5 * (low + high) + half), dim=-1).tolist()
-    return (ends[0][0], ends[0][1]), (ends[1][0], ends[1][1])
+    return torch.stack((0.5 * (low + high) - half, 0.5 * (low + high) + half), dim=-1).tolist()
 
 
 def oblique(side: Float[Tensor, "3 3"], turn_deg: float = TURN_DEG) -> Float[Tensor, "3 3"]:
@@ -167,13 +152,6 @@ def from_side(truth: Truth | None) -> Float[Tensor, "3 3"]:
     """Frame that looks along the horizontal direction in which the true planes are thinnest."""
     x, y = side_direction(truth).tolist()
     return torch.tensor(((x, y, 0.0), (0.0, 0.0, 1.0), (y, -x, 0.0)), dtype=torch.float64)
-
-
-def outlines(truth: Truth | None) -> Float[Tensor, "k 5 3"]:
-    """Closed outlines of the true planes."""
-    if truth is None or not len(truth.corner):
-        return torch.zeros(0, 5, 3, dtype=torch.float64)
-    return corners_of(truth)[:, (0, 1, 2, 3, 0)]
 
 
 def rounded_up(value: float) -> float:

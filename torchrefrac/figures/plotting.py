@@ -2,7 +2,10 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
+
+from torchrefrac.atomic import replacing
 
 ESTIMATE, MEASURED, TRUE, SECOND = "#0072b2", "#e69f00", "#009e73", "#d55e00"  # Okabe and Ito's
 GRID, TEXT, PALE = "#e4e6e8", "#444b52", "#b9d5e6"
@@ -11,15 +14,20 @@ MOST_TICKS = 14
 UNKNOWN = "-"
 
 
-def blank_figure(width: float, height: float) -> Any:
+def blank_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Any:
     """A figure of this size in inches, without global state and without a display."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    figure = Figure(figsize=(width, height), dpi=150)
-    figure.set_layout_engine("constrained")
+    figure = Figure(figsize=(width, height), dpi=150, layout=layout)
     FigureCanvasAgg(figure)
     return figure
+
+
+def save(figure: Any, path: Path, **how: Any) -> None:
+    """Write a figure, whole or not at all."""
+    with replacing(path) as temporary:
+        figure.savefig(temporary, **how)
 
 
 def color_scale(low: float, high: float, colors: Any) -> Any:
@@ -32,8 +40,8 @@ def color_scale(low: float, high: float, colors: Any) -> Any:
 
 def color_bar(figure: Any, colored: Any, panels: list[Any], label: str) -> None:
     """Beside the panels, with what its numbers are."""
-    bar = figure.colorbar(colored, ax=panels, pad=0.01, aspect=30, fraction=0.15 / len(panels), extend="both")
-    bar.set_label(label, fontsize=10)
+    fraction = 0.15 / len(panels)
+    bar = figure.colorbar(colored, ax=panels, pad=0.01, aspect=30, fraction=fraction, extend="both", label=label)
     bar.ax.tick_params(labelsize=8)
 
 
@@ -44,9 +52,9 @@ def legend_key(**style: Any) -> Any:
     return Line2D([], [], **style)
 
 
-def panels(rows: int, columns: int, height: float, width: float = WIDTH, **how: Any) -> tuple[Any, Any]:
+def panels(rows: int, columns: int, height: float, **how: Any) -> tuple[Any, Any]:
     """A figure with a grid of plain panels (always two-dimensional)."""
-    figure = blank_figure(width, height)
+    figure = blank_figure(WIDTH, height)
     grid = figure.subplots(rows, columns, squeeze=False, **how)
     for panel in grid.flat:
         plain_axes(panel)
@@ -57,20 +65,15 @@ def plain_axes(panel: Any) -> None:
     """Light lines behind the data, and no frame but for the two axes."""
     panel.grid(color=GRID, lw=0.8)
     panel.set_axisbelow(True)
-    for side in ("top", "right"):
-        panel.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        panel.spines[side].set_color("#9aa1a8")
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.spines[["left", "bottom"]].set_color("#9aa1a8")
     panel.tick_params(labelsize=9, colors=TEXT)
 
 
-def number_images(panel: Any, count: int, label: bool = True) -> None:
+def number_images(panel: Any, count: int) -> None:
     """The x axis counts images from 1, as the table of images does."""
     step = max(1, -(-count // MOST_TICKS))
-    panel.set_xticks(range(1, count + 1, step))
-    panel.set_xlim(0.3, count + 0.7)
-    if label:
-        panel.set_xlabel("image", fontsize=10)
+    panel.set(xticks=range(1, count + 1, step), xlim=(0.3, count + 0.7), xlabel="image")
 
 
 def height_colors() -> Any:
@@ -82,8 +85,9 @@ def height_colors() -> Any:
 
 
 def legend_above(figure: Any, handles: Sequence[Any]) -> None:
-    """One line of keys above all panels."""
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), fontsize=9, frameon=False)
+    """One line of keys above all panels, where there are any."""
+    if handles:
+        figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), fontsize=9, frameon=False)
 
 
 def rounded(value: float | None, digits: int = 2) -> str:

@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchrefrac.atomic import replacing
-from torchrefrac.figures.plotting import color_scale
+from torchrefrac.figures.plotting import blank_figure, color_scale, save
 from torchrefrac.figures.side_views import INK
 from torchrefrac.scene.raster import Raster
 
@@ -26,11 +25,9 @@ def draw_raster(raster: Raster, path: Path) -> None:
     The colours span all depths but the half per cent at either end; cells without a surface are grey, and a white line
     is the shore. A raster of many cells is drawn with every k-th of them.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - slow to import
-    from matplotlib.colors import to_rgb  # noqa: PLC0415
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    from matplotlib.colors import to_rgb  # noqa: PLC0415 - slow to import
 
-    rows, columns = raster.height.shape
+    unit, (rows, columns) = raster.length_unit, raster.height.shape
     step = max(1, math.ceil(max(rows, columns) / MOST_PIXELS))
     depth, valid = raster.depth[::step, ::step].cpu(), raster.valid[::step, ::step].cpu()
     low, high, extend = _range(depth[valid])
@@ -39,8 +36,7 @@ def draw_raster(raster: Raster, path: Path) -> None:
     size = raster.cell_size
     width, height = max(columns, 1) * size, max(rows, 1) * size
     across, up = (max(side * LONG_SIDE_INCHES / max(width, height), BAR_INCHES) for side in (width, height))
-    figure = Figure(figsize=(across, up), dpi=150)  # the panel; what stands around it is added when it is saved
-    FigureCanvasAgg(figure)
+    figure = blank_figure(across, up, None)  # the panel; what stands around it is added when it is saved
     panel = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     if depth.numel():
         lit = torch.from_numpy(colors.to_rgba(depth.numpy())[..., :3]) * _light(depth, valid, step * size)[..., None]
@@ -51,25 +47,19 @@ def draw_raster(raster: Raster, path: Path) -> None:
         x, y, hidden = raster.x[::step].cpu().numpy(), raster.y[::step].cpu().numpy(), ~valid.numpy()
         panel.contour(x, y, np.ma.masked_array(depth.numpy(), hidden), [0.0], colors="white", linewidths=0.9)
     panel.set(xlim=(raster.x_west, raster.x_west + width), ylim=(raster.y_north - height, raster.y_north))
-    panel.set_facecolor(EMPTY)
-    panel.set_aspect("equal")
-    unit = raster.length_unit
-    panel.set_xlabel(f"x ({unit})", fontsize=10)
-    panel.set_ylabel(f"y ({unit})", fontsize=10)
+    panel.set(facecolor=EMPTY, aspect="equal", xlabel=f"x ({unit})", ylabel=f"y ({unit})")
     panel.tick_params(labelsize=8, color=INK)
     share = float(raster.valid.double().mean()) if raster.valid.numel() else 0.0
     panel.set_title(f"Depth below the water surface\n{size:g} {unit} cells, {share:.0%} with a surface", fontsize=10)
     if width > WIDE * height:
         beside = figure.add_axes((0.0, -0.85 / up, 1.0, BAR_INCHES / up))
-        bar = figure.colorbar(colors, cax=beside, extend=extend, orientation="horizontal")
+        bar = figure.colorbar(colors, cax=beside, extend=extend, label=f"depth ({unit})", orientation="horizontal")
     else:
         beside = figure.add_axes((1.0 + 0.12 / across, 0.0, BAR_INCHES / across, 1.0))
-        bar = figure.colorbar(colors, cax=beside, extend=extend)
+        bar = figure.colorbar(colors, cax=beside, extend=extend, label=f"depth ({unit})")
         bar.ax.invert_yaxis()
-    bar.set_label(f"depth ({unit})", fontsize=10)
     bar.ax.tick_params(labelsize=8)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, bbox_inches="tight", pad_inches=0.1)
+    save(figure, path, bbox_inches="tight", pad_inches=0.1)
 
 
 def _range(depth: Float[Tensor, " n"]) -> tuple[float, float, str]:

@@ -44,13 +44,11 @@ def by_image_figure(residuals: Residuals, registered: Bool[Tensor, " m"]) -> Any
     from matplotlib.patches import Patch  # noqa: PLC0415 - slow to import
 
     count = len(registered)
-    figure, grid = panels(1, 1, 2.7)
-    panel = grid[0][0]
-    parts = [residuals.of_image(i).error for i in range(count)]
-    seen = [i for i in range(count) if len(parts[i])]
-    numbers = [i + 1 for i in seen]
-    medians = [float(parts[i].median()) for i in seen]
-    upper = [float(parts[i].quantile(NINETY)) for i in seen]
+    figure, ((panel,),) = panels(1, 1, 2.7)
+    parts = {i + 1: error for i in range(count) if len(error := residuals.of_image(i).error)}
+    numbers = list(parts)
+    medians = [float(error.median()) for error in parts.values()]
+    upper = [float(error.quantile(NINETY)) for error in parts.values()]
     panel.bar(numbers, medians, width=0.65, color=ESTIMATE)
     panel.vlines(numbers, medians, upper, color=SECOND, lw=1.4)
     panel.plot(numbers, upper, "_", color=SECOND, ms=9, mew=1.8)
@@ -60,7 +58,7 @@ def by_image_figure(residuals: Residuals, registered: Bool[Tensor, " m"]) -> Any
         panel.plot(missing, [0.0] * len(missing), "x", color="#000000", ms=7, clip_on=False, zorder=5)
         handles.append(legend_key(marker="x", ls="", color="#000000", label="not placed"))
     panel.grid(visible=False, axis="x")
-    panel.set_ylabel("reprojection error (px)", fontsize=10)
+    panel.set_ylabel("reprojection error (px)")
     panel.set_ylim(bottom=0.0)
     number_images(panel, count)
     legend_above(figure, handles)
@@ -70,24 +68,18 @@ def by_image_figure(residuals: Residuals, registered: Bool[Tensor, " m"]) -> Any
 def by_incidence_figure(residuals: Residuals, has_water: bool) -> Any:
     """Median and 90 % bound of the reprojection error over the angle of incidence, and the number of observations."""
     step, start, rows = bins(residuals.incidence)
-    figure, grid = panels(2, 1, 4.0, sharex=True, height_ratios=(3.0, 1.0))
-    errors, counts = grid[0][0], grid[1][0]
-    middle = [start + (k + 0.5) * step for k in rows]
-    errors.plot(middle, [float(e.quantile(NINETY)) for e in _errors(residuals, rows)], "--", color=SECOND, lw=1.5)
-    errors.plot(middle, [float(e.median()) for e in _errors(residuals, rows)], "o-", color=ESTIMATE, lw=2.0, ms=5)
-    errors.set_ylabel("reprojection error (px)", fontsize=10)
+    figure, ((errors,), (counts,)) = panels(2, 1, 4.0, sharex=True, height_ratios=(3.0, 1.0))
+    middle, parts = [start + (k + 0.5) * step for k in rows], [residuals.error[chosen] for chosen in rows.values()]
+    errors.plot(middle, [float(error.quantile(NINETY)) for error in parts], "--", color=SECOND, lw=1.5)
+    errors.plot(middle, [float(error.median()) for error in parts], "o-", color=ESTIMATE, lw=2.0, ms=5)
+    errors.set_ylabel("reprojection error (px)")
     errors.set_ylim(bottom=0.0)
-    counts.bar(middle, [len(rows[k]) for k in rows], width=0.9 * step, color=PALE)
-    counts.set_ylabel("observations", fontsize=10)
+    counts.bar(middle, [len(error) for error in parts], width=0.9 * step, color=PALE)
     what = "angle of incidence on the water" if has_water else "angle from the vertical"
-    counts.set_xlabel(f"{what} (°)", fontsize=10)
+    counts.set(xlabel=f"{what} (°)", ylabel="observations")
     median = legend_key(marker="o", color=ESTIMATE, label="median")
     legend_above(figure, [median, legend_key(ls="--", color=SECOND, label="90 % are below")])
     return figure
-
-
-def _errors(residuals: Residuals, rows: dict[int, Int[Tensor, "_"]]) -> list[Float[Tensor, "_"]]:
-    return [residuals.error[chosen] for chosen in rows.values()]
 
 
 def bins(angle: Float[Tensor, " n"]) -> tuple[float, float, dict[int, Int[Tensor, "_"]]]:

@@ -81,18 +81,15 @@ def shift_figure(scene: Scene, images: Sequence[int], depth: float, photographs:
             angles="xy", color="black", width=0.004, pivot="mid", zorder=3,
         )  # fmt: skip
         panel.set_title(f"image {image + 1}: {scene.views.names[image]}", fontsize=10)
-        panel.set_xticks([])
-        panel.set_yticks([])
+        panel.set(xticks=[], yticks=[])
     color_bar(figure, colored, list(grid), "shift (px)")
     return figure
 
 
 def _photograph(panel: Any, path: Path | None, width: int, height: int) -> None:
     """In grey, behind all else."""
-    if path is None or not path.is_file():
-        return
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
-        return
-    small = cv2.resize(image, (640, max(1, round(640 * height / width))), interpolation=cv2.INTER_AREA)
-    panel.imshow(small, cmap="gray", vmin=0, vmax=255, extent=(0, width, height, 0), zorder=0)
+    how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    image = cv2.imread(str(path), how) if path is not None and path.is_file() else None
+    if image is not None:
+        small = cv2.resize(image, (640, max(1, round(640 * height / width))), interpolation=cv2.INTER_AREA)
+        panel.imshow(small, cmap="gray", vmin=0, vmax=255, extent=(0, width, height, 0), zorder=0)

@@ -9,8 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.atomic import replacing
-from torchrefrac.figures.plotting import blank_figure, color_scale, legend_key
+from torchrefrac.figures.plotting import blank_figure, color_scale, legend_above, legend_key, save
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Scene, Truth
 
@@ -46,9 +45,7 @@ def side_view(model: str, scene: Scene, aligned: Similarity | None, metrics: Map
 
 def draw_side_views(views: Sequence[SideView], truth: Truth | None, path: Path) -> None:
     """Write the paper's Figure 1, `side_views_figure`, to a file."""
-    figure = side_views_figure(views, truth)
-    with replacing(path) as temporary:
-        figure.savefig(temporary)
+    save(side_views_figure(views, truth), path)
 
 
 def side_views_figure(
@@ -69,8 +66,8 @@ def side_views_figure(
     colored = color_scale(low, high, colors)
     panels = figure.subplots(1, len(views), sharex=True, sharey=True, squeeze=False)[0]
     for panel, view in zip(panels, views, strict=True):
-        if truth is not None:
-            _draw_planes(panel, truth, across)
+        for corners in outlines(truth):
+            panel.plot((corners[:, :2] @ across).numpy(), corners[:, 2].numpy(), "-", color=FAINT, lw=3.0, zorder=1)
         z = view.points[:, 2].numpy()
         along = (view.points[:, :2] @ across).numpy()
         panel.scatter(along, z, c=z, s=2.5, cmap=colored.cmap, norm=colored.norm, linewidths=0, zorder=3)
@@ -79,20 +76,23 @@ def side_views_figure(
             panel.axhline(0.0, color=WATER, lw=1.2)
         panel.set(xlim=limits[0], ylim=limits[1], aspect="equal")
         panel.set_title(view.title, fontsize=13)
-        panel.set_xlabel(f"horizontal ({view.length_unit})\n{view.caption}", fontsize=10)
+        panel.set_xlabel(f"horizontal ({view.length_unit})\n{view.caption}")
         panel.tick_params(labelsize=8)
     unit = views[0].length_unit
-    panels[0].set_ylabel(f"height above the water ({unit})", fontsize=10)
-    bar = figure.colorbar(colored, ax=list(panels), pad=0.01, aspect=30)
-    bar.set_label(f"height ({unit})", fontsize=10)
+    panels[0].set_ylabel(f"height above the water ({unit})")
+    bar = figure.colorbar(colored, ax=list(panels), pad=0.01, aspect=30, label=f"height ({unit})")
     bar.ax.tick_params(labelsize=8)
-    handles = [legend_key(marker="^", ls="", mfc="none", mec=INK, label="cameras")]
-    if any(view.has_water for view in views):
-        handles.append(legend_key(color=WATER, label="water surface"))
-    if truth is not None and len(truth.corner):
+    handles = camera_keys(any(view.has_water for view in views))
+    if len(outlines(truth)):
         handles.append(legend_key(color=FAINT, lw=3, label="true planes"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=9, frameon=False)
+    legend_above(figure, handles)
     return figure
+
+
+def camera_keys(has_water: bool) -> list[Any]:
+    """What the marks of cameras and water mean."""
+    cameras = legend_key(marker="^", ls="", mfc="none", mec=INK, label="cameras")
+    return [cameras, legend_key(color=WATER, label="water surface")] if has_water else [cameras]
 
 
 def side_direction(truth: Truth | None) -> Float[Tensor, " 2"]:
@@ -106,19 +106,19 @@ def side_direction(truth: Truth | None) -> Float[Tensor, " 2"]:
 
 
 def _height_range(views: Sequence[SideView], truth: Truth | None) -> tuple[float, float]:
-    if truth is not None and len(truth.corner):
-        corners = corners_of(truth)[..., 2]
+    corners = outlines(truth)[..., 2]
+    if len(corners):
         return float(corners.min()), float(corners.max())
     heights = torch.cat([view.points[:, 2] for view in views])
-    if not len(heights):
-        return -1.0, 0.0
-    return float(heights.quantile(0.01)), float(heights.quantile(0.99))
+    return (float(heights.quantile(0.01)), float(heights.quantile(0.99))) if len(heights) else (-1.0, 0.0)
 
 
-def corners_of(truth: Truth) -> Float[Tensor, "k 4 3"]:
-    """The corners of the true planes, all around each."""
+def outlines(truth: Truth | None) -> Float[Tensor, "k 5 3"]:
+    """Closed outlines of the true planes."""
+    if truth is None:
+        return torch.zeros(0, 5, 3, dtype=torch.float64)
     a, b, c = truth.corner, truth.edge1, truth.edge2
-    return torch.stack((a, a + b, a + b + c, a + c), dim=1)
+    return torch.stack((a, a + b, a + b + c, a + c, a), dim=1)
 
 
 def true_of(values: Float[Tensor, "m *row"], truth: Truth, names: Sequence[str]) -> Float[Tensor, "k *row"]:
@@ -130,19 +130,12 @@ def true_of(values: Float[Tensor, "m *row"], truth: Truth, names: Sequence[str])
     return found
 
 
-def _draw_planes(panel: Any, truth: Truth, across: Float[Tensor, " 2"]) -> None:
-    for corners in corners_of(truth):
-        closed = torch.cat((corners, corners[:1]))
-        panel.plot((closed[:, :2] @ across).numpy(), closed[:, 2].numpy(), "-", color=FAINT, lw=3.0, zorder=1)
-
-
 def _limits(views: Sequence[SideView], truth: Truth | None, across: Float[Tensor, " 2"]) -> list[tuple[float, float]]:
     """Horizontal and vertical range: cameras, true planes, and all but the most stray points of every panel."""
-    shown = [view.centers for view in views] + ([corners_of(truth).flatten(0, 1)] if truth is not None else [])
+    shown = [outlines(truth).flatten(0, 1), *(view.centers for view in views)]
     for view in views:
         if len(view.points):
-            edges = torch.tensor((0.01, 0.99), dtype=view.points.dtype)
-            shown.append(view.points.quantile(edges, dim=0))
+            shown.append(view.points.quantile(torch.tensor((0.01, 0.99), dtype=view.points.dtype), dim=0))
     every = torch.cat((*shown, torch.zeros(1, 3, dtype=torch.float64)))
     limits = []
     for values in (every[:, :2] @ across, every[:, 2]):

@@ -7,16 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchrefrac.figures.plotting import (
-    ESTIMATE,
-    SECOND,
-    WIDTH,
-    blank_figure,
-    legend_above,
-    legend_key,
-    number_images,
-    plain_axes,
-)  # fmt: skip
+from torchrefrac.figures.plotting import ESTIMATE, SECOND, legend_above, legend_key, number_images, panels
 from torchrefrac.figures.side_views import true_of
 from torchrefrac.scene import Scene, Truth
 
@@ -27,8 +18,7 @@ STEPS = (1.0, 2.0, 5.0, 10.0)
 def ellipse_axes(
     covariance: Float[Tensor, "k 2 2"],
 ) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"], Float[Tensor, " k"]]:
-    """Long and short half axes of the ellipses of one standard deviation, and the long one's direction in degrees from
-    x."""
+    """Long and short half axes of the ellipses of one standard deviation, and the angle of the long ones in degrees."""
     values, vectors = torch.linalg.eigh(covariance)
     axes = values.clamp(min=0.0).sqrt()
     return axes[:, 1], axes[:, 0], torch.atan2(vectors[:, 1, 1], vectors[:, 0, 1]).rad2deg()
@@ -56,10 +46,7 @@ def uncertainty_figure(shown: Scene, truth: Truth | None) -> tuple[Any, float]:
     extent = (centers[:, :2].amax(dim=0) - centers[:, :2].amin(dim=0)).clamp(min=1e-9)
     long, short, direction = ellipse_axes(covariance[:, :2, :2])
     factor = exaggeration(float(long.median()), float(extent.max()))
-    figure = blank_figure(WIDTH, 4.2)
-    above, heights = figure.subplots(1, 2, width_ratios=(1.0, 1.05))
-    plain_axes(above)
-    plain_axes(heights)
+    figure, ((above, heights),) = panels(1, 2, 4.2, width_ratios=(1.0, 1.05))
     x, y, _ = centers.numpy().T
     above.plot(x, y, "-", color="#c9ced3", lw=1.0, zorder=1)
     for at, a, b, angle in zip(centers[:, :2].tolist(), *(v.tolist() for v in (long, short, direction)), strict=True):
@@ -79,12 +66,11 @@ def uncertainty_figure(shown: Scene, truth: Truth | None) -> tuple[Any, float]:
         heights.plot(numbers, abs(errors[:, 2]), "D", color=SECOND, ms=5)
         handles.append(legend_key(marker="D", ls="", ms=5, color=SECOND, label="true error (arrows and diamonds)"))
     above.set_title(f"from above, errors {factor:g} times as large", fontsize=11)
-    above.set_xlabel(f"x ({unit})", fontsize=10)
-    above.set_ylabel(f"y ({unit})", fontsize=10)
+    above.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
     above.set_aspect("equal", adjustable="datalim")
     above.margins(0.12)
     heights.set_title("height", fontsize=11)
-    heights.set_ylabel(f"standard deviation ({unit})", fontsize=10)
+    heights.set_ylabel(f"standard deviation ({unit})")
     heights.grid(visible=False, axis="x")
     number_images(heights, len(shown.views.names))
     legend_above(figure, handles)

@@ -5,17 +5,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from jaxtyping import Float
-from torch import Tensor
-
 from torchrefrac.evaluate.metrics import evaluate
 from torchrefrac.files.cameras import CAMERAS, load_points, read_cameras
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.run import RunRecord
 from torchrefrac.files.tracks import TRACKS, read_run
 from torchrefrac.files.truth import load_truth
-from torchrefrac.geometry import Rigid, Similarity
-from torchrefrac.scene import Assessment, Capture, Scene, Truth
+from torchrefrac.geometry import Similarity
+from torchrefrac.scene import Capture, Scene, Truth
+from torchrefrac.sfm.frame import transformed
 
 T = TypeVar("T")
 UNREADABLE = (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError)  # of files that are damaged
@@ -42,23 +40,21 @@ class RunContents:
     @property
     def unit(self) -> str:
         """The length unit; empty where nothing says it."""
-        for source in (self.scene, self.truth, self.capture):
-            if source is not None:
-                return source.length_unit
-        return self.record.length_unit
+        sources = (self.scene, self.truth, self.capture, self.record)
+        return next(source.length_unit for source in sources if source is not None)
 
     @property
     def shown(self) -> Scene | None:
         """The scene in the frame of the truth, where there is one."""
-        if self.scene is None or self.aligned is None:
-            return self.scene
-        return _moved(self.scene, self.aligned)
+        scene, change = self.scene, self.aligned
+        if scene is None or change is None:
+            return scene
+        known = scene.assessment.center_covariance
+        turned = None if known is None else change.scale**2 * change.rotation @ known @ change.rotation.mT
+        return replace(transformed(scene, change), assessment=replace(scene.assessment, center_covariance=turned))
 
 
-Truths = dict[Path, Truth | None]
-
-
-def read_contents(folder: Path, truths: Truths, with_capture: bool = True) -> RunContents:
+def read_contents(folder: Path, truths: dict[Path, Truth | None], with_capture: bool = True) -> RunContents:
     """Read a run folder.
 
     truths: those read before, by the folder of the photographs, which are not read again. with_capture: also the
@@ -120,14 +116,3 @@ def _scene(folder: Path) -> Scene | None:
         return read_run(folder)
     points = folder / "points.ply"
     return cameras.with_points(*load_points(points)) if points.is_file() else cameras
-
-
-def _moved(scene: Scene, change: Similarity) -> Scene:
-    known, covariance = scene.assessment, scene.assessment.center_covariance
-    moved = Assessment() if covariance is None else replace(known, center_covariance=_turned(covariance, change))
-    pose = Rigid(change.apply_to_rotation(scene.views.rotation), change.apply(scene.views.center))
-    return replace(scene, views=replace(scene.views, pose=pose), points=change.apply(scene.points), assessment=moved)
-
-
-def _turned(covariance: Float[Tensor, "k 3 3"], change: Similarity) -> Float[Tensor, "k 3 3"]:
-    return change.scale**2 * change.rotation @ covariance @ change.rotation.mT

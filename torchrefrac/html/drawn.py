@@ -12,7 +12,7 @@ from torchrefrac.figures.shift import shift_figure, shift_images, typical_depth
 from torchrefrac.figures.side_views import SideView, side_view, side_views_figure
 from torchrefrac.figures.uncertainty import uncertainty_figure
 from torchrefrac.html.contents import RunContents
-from torchrefrac.html.embed import Picture, picture, png, svg
+from torchrefrac.html.page import Picture, picture, png, svg
 from torchrefrac.html.words import rounded
 from torchrefrac.scene import Scene, Truth
 

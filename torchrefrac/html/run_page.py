@@ -6,28 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from torchrefrac.figures.residuals import Residuals
-from torchrefrac.html import drawn
-from torchrefrac.html.contents import RunContents, Truths, read_contents
+from torchrefrac.html import drawn, words
+from torchrefrac.html.contents import RunContents, read_contents
 from torchrefrac.html.page import write_page
-from torchrefrac.html.tables import Entry, files_of, photograph_heads, photographs, table1, timings
-from torchrefrac.html.words import (
-    MODELS,
-    UNKNOWN,
-    distinct,
-    job_name,
-    model_order,
-    model_title,
-    placed_words,
-    plain,
-    rounded,
-    seconds,
-    verdict,
-    with_sigma,
-)
+from torchrefrac.html.tables import REPORT, Entry, files_of, photograph_heads, photographs, table1, timings
 from torchrefrac.record.summary import dense_lines
-from torchrefrac.sweeps.pictured import MOST_PANELS
+from torchrefrac.scene import Truth
+from torchrefrac.sweeps.design import MOST_PANELS
 
-REPORT = "report.html"
 LOG, LOG_LINES = "run.log", 60
 
 
@@ -38,23 +24,21 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
     needs no other file and no network; links to files of the run are relative. What cannot be read is left out, and the
     page says so. Raises OSError where the page cannot be written.
     """
-    truths: Truths = {}
+    truths: dict[Path, Truth | None] = {}
     contents = read_contents(run, truths)
-    record = contents.record
-    others = [
-        read_contents(other, truths, with_capture=False) for other in compared if other.resolve() != run.resolve()
-    ]
-    scene = contents.scene
-    residuals = Residuals.of(scene) if scene is not None and len(scene.observations.view) else None
+    record, scene = contents.record, contents.scene
+    beside = [other for other in compared if other.resolve() != run.resolve()]
+    others = [read_contents(other, truths, with_capture=False) for other in beside]
+    residuals = Residuals.of(scene) if scene is not None and len(scene.observations) else None
     residuals = residuals if residuals is not None and len(residuals) else None
     write_page(
         "run.html",
         run / REPORT,
-        title=job_name(record),
+        title=words.job_name(record),
         run=contents,
         record=record,
-        model_words=MODELS.get(record.model, ""),
-        verdict=verdict(record, contents.unit),
+        model_words=words.MODELS.get(record.model, ""),
+        verdict=words.verdict(record, contents.unit),
         tiles=_tiles(contents),
         table=_table(contents, others) if record.is_complete else None,
         figures=_figures(contents, others, residuals),
@@ -65,7 +49,7 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
         heads=photograph_heads(contents),
         photographs=photographs(contents, residuals),
         timings=timings(record),
-        total=seconds(record.number("seconds_total") or 0.0),
+        total=words.seconds(record.number("seconds_total") or 0.0),
         memory=record.metrics.get("peak_memory_gib"),
         files=files_of(run),
         log=_tail(run / LOG),
@@ -77,24 +61,24 @@ def _tiles(run: RunContents) -> list[tuple[str, str]]:
     """The few numbers that matter, with what they are."""
     m, unit = run.record.metrics, run.unit
     found: list[tuple[str, str]] = []
-    if placed_words(m) != UNKNOWN:
-        found.append((placed_words(m, " / "), "photographs placed"))
-    for key, words in (("camera_rms", "camera error, RMS"), ("point_median", "3D error of the points, median")):
+    if words.placed_words(m) != words.UNKNOWN:
+        found.append((words.placed_words(m, " / "), "photographs placed"))
+    for key, what in (("camera_rms", "camera error, RMS"), ("point_median", "3D error of the points, median")):
         if m.get(f"{key}_{unit}") is not None:
-            found.append((f"{rounded(m[f'{key}_{unit}'])} {unit}", words))
+            found.append((f"{words.rounded(m[f'{key}_{unit}'])} {unit}", what))
     if m.get(f"point_median_{unit}") is None and m.get(f"surface_median_{unit}") is not None:
-        found.append((f"{rounded(m[f'surface_median_{unit}'])} {unit}", "points off the true surface, median"))
+        found.append((f"{words.rounded(m[f'surface_median_{unit}'])} {unit}", "points off the true surface, median"))
     if m.get("reprojection_median_px") is not None:
-        found.append((f"{rounded(m['reprojection_median_px'])} px", "reprojection error, median"))
+        found.append((f"{words.rounded(m['reprojection_median_px'])} px", "reprojection error, median"))
     if run.record.model == "refractive" and m.get("index_ratio") is not None:
         sigma, true = m.get("index_ratio_sigma"), m.get("true_index_ratio")
-        value = plain(m["index_ratio"]) if sigma is None else with_sigma(m["index_ratio"], sigma)
-        words = "index ratio, " + ("assumed" if sigma is None else "estimated")
-        found.append((value, words + (f" (true {plain(true)})" if true is not None else "")))
+        what = "index ratio, " + ("assumed" if sigma is None else "estimated")
+        value = words.with_sigma(m["index_ratio"], sigma)
+        found.append((value, what + (f" (true {words.plain(true)})" if true is not None else "")))
     if "points" in m:
         found.append((f"{m['points']:,}".replace(",", "\u202f"), "points"))
     if found and "seconds_total" in m:
-        found.append((seconds(float(m["seconds_total"])), "time"))
+        found.append((words.seconds(float(m["seconds_total"])), "time"))
     return found
 
 
@@ -114,11 +98,7 @@ def _figures(run: RunContents, others: Sequence[RunContents], residuals: Residua
         return []
     every = _in_order([run, *others])
     beside = every if len(every) <= MOST_PANELS else [run]
-    found = [
-        drawn.draw_models(beside, _titles(beside)),
-        drawn.draw_cameras(shown, run.truth),
-        drawn.draw_attitude(run),
-    ]
+    found = [drawn.draw_models(beside, _titles(beside)), drawn.draw_cameras(shown, run.truth), drawn.draw_attitude(run)]
     if residuals is not None and run.scene is not None:
         found += drawn.draw_residuals(residuals, run.scene)
     found += [drawn.draw_shift(run), drawn.draw_uncertainty(shown, run.truth)]
@@ -126,12 +106,12 @@ def _figures(run: RunContents, others: Sequence[RunContents], residuals: Residua
 
 
 def _in_order(runs: Sequence[RunContents]) -> list[RunContents]:
-    return sorted(runs, key=lambda run: model_order(run.record))
+    return sorted(runs, key=lambda run: words.model_order(run.record))
 
 
 def _titles(runs: Sequence[RunContents]) -> list[str]:
     """What each is called: its model, with the folder where that is not enough."""
-    return distinct([model_title(run.record.model) for run in runs], [run.record for run in runs])
+    return words.distinct([words.model_title(run.record.model) for run in runs], [run.record for run in runs])
 
 
 def relative_report(run: Path, folder: Path) -> str:
@@ -142,7 +122,7 @@ def relative_report(run: Path, folder: Path) -> str:
 def _determined(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The verdicts of the adjustment as what and how well."""
     pairs = [str(sentence).partition(": ") for sentence in metrics.get("determined") or []]
-    return [(name, words or UNKNOWN) for name, _, words in pairs]
+    return [(name, how_well or words.UNKNOWN) for name, _, how_well in pairs]
 
 
 def _dense_words(metrics: Mapping[str, Any]) -> list[str]:

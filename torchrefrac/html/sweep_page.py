@@ -1,19 +1,19 @@
-"""The report of a whole sweep."""
+"""The report of a whole sweep, and those of its runs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from torchrefrac.files.run import RunRecord
-from torchrefrac.html.contents import Truths, read_contents
+from torchrefrac.html.contents import read_contents
 from torchrefrac.html.drawn import Drawn, draw_models
-from torchrefrac.html.embed import Picture, picture
-from torchrefrac.html.page import write_page
-from torchrefrac.html.run_page import REPORT, relative_report
-from torchrefrac.html.tables import Entry, Table, files_of, table1
+from torchrefrac.html.page import Picture, picture, write_page
+from torchrefrac.html.run_page import relative_report, write_report
+from torchrefrac.html.tables import REPORT, Entry, Table, files_of, table1
 from torchrefrac.html.words import MODELS, distinct, model_order, model_title, seconds
-from torchrefrac.sweeps.design import load_runs, short_keys, what_varied
-from torchrefrac.sweeps.pictured import MOST_PANELS
+from torchrefrac.recorder import Recorder
+from torchrefrac.scene import Truth
+from torchrefrac.sweeps.design import MOST_PANELS, load_runs, short_keys, shown_together, what_varied
 
 SUMMARY, SUMMARY_WIDTH = "summary.png", 1600
 MOST_FIGURES = 12
@@ -36,6 +36,15 @@ class SceneSection:
     title: str
     table: Table
     figure: Drawn | None
+
+
+def write_job_reports(runs: Sequence[Path], recorder: Recorder) -> None:
+    """Write report.html into every run folder of a sweep. Raises OSError where one cannot be written."""
+    jobs = load_runs(runs)
+    groups = [[job.folder for job in members] for members in shown_together(jobs, what_varied(jobs)).values()]
+    for run in recorder.track(runs, len(runs), "reports", "run"):
+        beside = next((group for group in groups if run in group), [])
+        write_report(run, [other for other in beside if other != run])
 
 
 def write_sweep_report(folder: Path, runs: Sequence[Path]) -> Path:
@@ -85,17 +94,11 @@ def _sections(jobs: Sequence[RunRecord], short: Mapping[str, str], folder: Path)
         title = ", ".join((group[0].scene, *(f"{short[key]} {group[0].overrides.get(key, DEFAULT)}" for key in shared)))
         entries = [Entry(label, job, _link(job, folder)) for label, job in zip(labels, ordered, strict=True)]
         unit = next((job.length_unit for job in group if job.length_unit), "")
-        drawn = _figure(ordered, labels) if number < MOST_FIGURES else None
-        found.append(SceneSection(title, table1(entries, unit), drawn))
+        figure, truths = None, dict[Path, Truth | None]()
+        if number < MOST_FIGURES and 2 <= len(ordered) <= MOST_PANELS:  # fewer have nothing beside them
+            figure = draw_models([read_contents(job.folder, truths, with_capture=False) for job in ordered], labels)
+        found.append(SceneSection(title, table1(entries, unit), figure))
     return found
-
-
-def _figure(jobs: Sequence[RunRecord], labels: Sequence[str]) -> Drawn | None:
-    """Of two to six jobs; fewer have nothing beside them, more would be too small."""
-    if not 2 <= len(jobs) <= MOST_PANELS:
-        return None
-    truths: Truths = {}
-    return draw_models([read_contents(job.folder, truths, with_capture=False) for job in jobs], labels)
 
 
 def _label(job: RunRecord, short: Mapping[str, str], with_scene: bool = True) -> str:
@@ -114,10 +117,10 @@ def _summary(path: Path) -> Picture | None:
 
 def _verdict(jobs: Sequence[RunRecord], failed: Sequence[RunRecord]) -> str:
     done = f"{len(jobs) - len(failed)} of {len(jobs)} jobs are complete"
-    return f"{done}." if not failed else f"{done}; {len(failed)} failed or did not finish."
+    return f"{done}; {len(failed)} failed or did not finish." if failed else f"{done}."
 
 
 def _listed(words: Sequence[str]) -> str:
     """At most four of them."""
-    different: Mapping[str, None] = dict.fromkeys(words)
-    return ", ".join([*different][:4]) + (" …" if len(different) > 4 else "")
+    different = list(dict.fromkeys(words))
+    return ", ".join(different[:4]) + (" …" if len(different) > 4 else "")

@@ -11,8 +11,8 @@ from torchrefrac.figures.shift import off_nadir
 from torchrefrac.figures.uncertainty import true_errors
 from torchrefrac.files.run import RunRecord, is_number
 from torchrefrac.html.contents import RunContents
-from torchrefrac.html.embed import thumbnail
-from torchrefrac.html.words import UNKNOWN, file_size, placed_words, plain, rounded, seconds, with_sigma
+from torchrefrac.html.page import thumbnail
+from torchrefrac.html.words import UNKNOWN, file_size, placed_words, rounded, seconds, with_sigma
 
 ERRORS = (
     ("camera error", "camera_rms", "RMS distance of the camera centres from the true ones, after aligning them"),
@@ -62,7 +62,8 @@ def table1(entries: Sequence[Entry], unit: str, marked: int | None = None) -> Ta
     columns += [("reprojection (px)", "reprojection_median_px", rounded, True)]
     columns += [("points", "points", lambda value: f"{value:.0f}", False), ("time", "seconds_total", seconds, False)]
     columns = [column for column in columns if any(entry.record.number(column[1]) is not None for entry in entries)]
-    rows = [[Cell(entry.label, entry.link), Cell(_placed(entry.record))] for entry in entries]
+    placed = [placed_words(e.record.metrics) if e.record.is_complete else e.record.status for e in entries]
+    rows = [[Cell(entry.label, entry.link), Cell(text)] for entry, text in zip(entries, placed, strict=True)]
     for _, key, words, is_error in columns:
         values = [entry.record.number(key) for entry in entries]
         known = [value for value in values if value is not None]
@@ -77,15 +78,9 @@ def table1(entries: Sequence[Entry], unit: str, marked: int | None = None) -> Ta
     return Table(heads, rows, () if marked is None else (marked,), terms)
 
 
-def _placed(record: RunRecord) -> str:
-    return placed_words(record.metrics) if record.is_complete else record.status
-
-
 def _index_ratio(record: RunRecord) -> str:
-    ratio, sigma = record.number("index_ratio"), record.number("index_ratio_sigma")
-    if ratio is None or record.model != "refractive":
-        return UNKNOWN
-    return plain(ratio) if sigma is None else with_sigma(ratio, sigma)
+    ratio = record.number("index_ratio") if record.model == "refractive" else None
+    return UNKNOWN if ratio is None else with_sigma(ratio, record.number("index_ratio_sigma"))
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,10 @@ ENDS = {
 MINUTE = 60.0
 
 
-def with_sigma(value: float, sigma: float) -> str:
-    """A value with its standard deviation, both to the digit that this leaves."""
+def with_sigma(value: float, sigma: float | None) -> str:
+    """A value with its standard deviation, both to the digit that this leaves; an index ratio without one is plain."""
+    if sigma is None:
+        return plain(value)
     if not 0.0 < sigma < math.inf:
         return rounded(value, 5)
     power = math.floor(math.log10(sigma))
@@ -97,8 +99,8 @@ def index_ratio_words(record: RunRecord) -> list[str]:
     if record.model != "refractive":
         return ["the water is left out of account" + (f" (true index ratio {plain(truth)})" if truth else "")]
     sigma = metrics.get("index_ratio_sigma")
-    value = f"{plain(ratio)} assumed" if sigma is None else with_sigma(ratio, sigma)
-    return [f"index ratio {value}" + (f" (true {plain(truth)})" if truth else "")]
+    assumed = " assumed" if sigma is None else ""
+    return [f"index ratio {with_sigma(ratio, sigma)}{assumed}" + (f" (true {plain(truth)})" if truth else "")]
 
 
 def _ended(record: RunRecord) -> str:

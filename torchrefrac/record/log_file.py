@@ -14,10 +14,10 @@ from typing import Any, BinaryIO, TypeVar
 
 import torch
 
+from torchrefrac.files.run import RunStatus
 from torchrefrac.recorder import Advance, SilentRecorder
 
 T = TypeVar("T")
-COMPLETE, FAILED, INTERRUPTED = "complete", "failed", "interrupted"
 
 
 class LogFile(SilentRecorder):
@@ -41,8 +41,7 @@ class LogFile(SilentRecorder):
         self._start = time.perf_counter()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            mode = "ab" if append else "wb"
-            self._stream = path.open(mode, buffering=0)  # closing has nothing to write then
+            self._stream = path.open("ab" if append else "wb", buffering=0)  # closing has nothing to write then
         except OSError as error:
             self._give_up(error)
         for name, value in (_setting() | dict(about or {})).items():
@@ -57,7 +56,7 @@ class LogFile(SilentRecorder):
         if error is not None:
             self.error(error)
         stopped = isinstance(error, KeyboardInterrupt)
-        status = COMPLETE if error is None else INTERRUPTED if stopped else FAILED
+        status = RunStatus.COMPLETE if error is None else RunStatus.INTERRUPTED if stopped else RunStatus.FAILED
         self._write(f"{status} after {time.perf_counter() - self._start:.1f} s")
         self._close()
 

@@ -20,14 +20,8 @@ MOST_POINTS = 100_000  # of a cloud: 2.4 MB
 QUALITY = 85  # of pictures, as JPEG
 POINTS_ACROSS = 300  # size of a point, as a part of the cloud's extent
 COLUMNS = (
-    "camera_rms",
-    "point_rms",
-    "surface_median",
-    "flatness",
-    "dense_surface",
-    "reprojection_median",
-    "registered",
-)
+    "camera_rms", "point_rms", "surface_median", "flatness", "dense_surface", "reprojection_median", "registered",
+)  # fmt: skip
 """How the names of the metrics begin that come first in the table of runs, which shows few unless asked for more."""
 LAST = "seconds"
 
@@ -94,13 +88,8 @@ class TensorBoardRecorder(SilentRecorder):
             return
         points, colors = points[::every], colors[::every]
         size = float((points.amax(dim=0) - points.amin(dim=0)).max()) / POINTS_ACROSS
-        self._writer.add_mesh(
-            name,
-            points[None].float(),
-            colors[None].int(),
-            config_dict={"material": {"cls": "PointsMaterial", "size": size}},
-            global_step=step,
-        )
+        look = {"material": {"cls": "PointsMaterial", "size": size}}
+        self._writer.add_mesh(name, points[None].float(), colors[None].int(), config_dict=look, global_step=step)
 
     def hparams(self, options: Mapping[str, Any], metrics: Mapping[str, Any]) -> None:
         """Enter the run into the table of runs: `options` by dotted names, and the finite numbers among `metrics`.

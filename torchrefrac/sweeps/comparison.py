@@ -6,19 +6,16 @@ from pathlib import Path
 from torchrefrac.atomic import replacing
 from torchrefrac.evaluate.dense_metrics import FOUND, TYPICAL
 from torchrefrac.evaluate.metrics import evaluate
-from torchrefrac.figures.dense import dense_view, draw_dense_views
-from torchrefrac.figures.error_map import draw_error_map, error_panel
+from torchrefrac.figures.dense import dense_view, draw_dense_views, draw_error_map, error_panel
 from torchrefrac.figures.side_views import TITLES, draw_side_views, side_view
 from torchrefrac.files.cameras import CAMERAS, load_points, read_cameras
 from torchrefrac.files.dense import load_dense
 from torchrefrac.files.run import DENSE_CLOUD, RunRecord
 from torchrefrac.files.truth import load_truth
-from torchrefrac.geometry import Similarity
-from torchrefrac.scene import Scene, Truth
-from torchrefrac.sweeps.design import failed_first, has_paper_form, load_runs, scenes_of, what_varied
-from torchrefrac.sweeps.markdown import decimals, markdown_table
-from torchrefrac.sweeps.pictured import FIGURES, shown_together
-from torchrefrac.sweeps.units import error_text, in_header, registered, rounded, unit_of
+from torchrefrac.sweeps.cells import decimals, error_text, in_header, markdown_table, registered, rounded, unit_of
+from torchrefrac.sweeps.design import FIGURES, has_paper_form, load_runs, scenes_of, shown_together, what_varied
+
+POINTS = "points.ply"
 
 
 def compare(runs: Sequence[Path], folder: Path) -> str:
@@ -35,11 +32,13 @@ def compare(runs: Sequence[Path], folder: Path) -> str:
     jobs = load_runs(runs)
     design = what_varied(jobs)
     for end, shown in shown_together(jobs, design).items():
-        _draw([job for job in shown if _has_results(job)], folder, end)
+        there = [job for job in shown if all((job.folder / name).is_file() for name in (CAMERAS, POINTS))]
+        if there:
+            _draw(there, *(folder / f"{kind}{end}" for kind in FIGURES))
     if not has_paper_form(design):
         (folder / "table1.md").unlink(missing_ok=True)
         return ""
-    jobs = failed_first(jobs)
+    jobs.sort(key=lambda job: job.is_complete)
     labels = _labels(jobs)
     table = _table(jobs, labels)
     dense = [(job, label) for job, label in zip(jobs, labels, strict=True) if "dense_points" in job.metrics]
@@ -50,52 +49,28 @@ def compare(runs: Sequence[Path], folder: Path) -> str:
     return table
 
 
-def _has_results(job: RunRecord) -> bool:
-    return all((job.folder / name).is_file() for name in (CAMERAS, "points.ply"))
-
-
-def _draw(jobs: Sequence[RunRecord], folder: Path, end: str) -> None:
-    """The figures of jobs with one capture; none without jobs."""
-    if not jobs:
-        return
+def _draw(jobs: Sequence[RunRecord], sides_path: Path, dense_path: Path, map_path: Path) -> None:
+    """The figures of jobs with one capture."""
     truth = load_truth(jobs[0].capture) if jobs[0].capture is not None else None
-    names = [f"{kind}{end}" for kind in FIGURES]
-    views, dense = [], []
-    for job, title in zip(jobs, _titles(jobs), strict=True):
-        scene = read_cameras(job.folder / CAMERAS).with_points(*load_points(job.folder / "points.ply"))
+    views, dense, panels = [], [], []
+    for job, title in zip(jobs, _distinct(_names(jobs), jobs), strict=True):
+        scene = read_cameras(job.folder / CAMERAS).with_points(*load_points(job.folder / POINTS))
         aligned = evaluate(scene, truth)[1] if truth is not None else None
         views.append(side_view(title, scene, aligned, job.metrics))
         if "dense_points" in job.metrics and (job.folder / DENSE_CLOUD).is_file():
-            dense.append((title, job, scene, aligned))
-    draw_side_views(views, truth, folder / names[0])
+            cloud = load_dense(job.folder / DENSE_CLOUD)
+            dense.append(dense_view(title, cloud, scene, aligned, job.metrics))
+            if truth is not None and aligned is not None and len(truth.corner):
+                panels.append(error_panel(title, cloud, aligned, truth, job.metrics))
+    draw_side_views(views, truth, sides_path)
     if dense:
-        _draw_dense(dense, truth, folder / names[1], folder / names[2])
-
-
-def _draw_dense(
-    shown: Sequence[tuple[str, RunRecord, Scene, Similarity | None]],
-    truth: Truth | None,
-    views_path: Path,
-    map_path: Path,
-) -> None:
-    views, panels = [], []
-    for title, job, scene, aligned in shown:
-        cloud = load_dense(job.folder / DENSE_CLOUD)
-        views.append(dense_view(title, cloud, scene, aligned, job.metrics))
-        if truth is not None and aligned is not None and len(truth.corner):
-            panels.append(error_panel(title, cloud, aligned, truth, job.metrics))
-    draw_dense_views(views, truth, views_path)
+        draw_dense_views(dense, truth, dense_path)
     if truth is not None and panels:
         draw_error_map(panels, truth, map_path)
 
 
-def _titles(jobs: Sequence[RunRecord]) -> list[str]:
-    """Model, with the dense method where there are several, and with the run folder where that is not unique."""
-    return _distinct(_names(jobs), jobs)
-
-
 def _labels(jobs: Sequence[RunRecord]) -> list[str]:
-    """The same for a table, with the scene before it where there are several."""
+    """What the rows of a table are called: the model, as in `_names`, after the scene where there are several."""
     labels = _names(jobs)
     if len(scenes_of(job for job in jobs if job.is_complete)) > 1:
         labels = [f"{job.scene or '?'}: {label}" for job, label in zip(jobs, labels, strict=True)]
@@ -103,6 +78,7 @@ def _labels(jobs: Sequence[RunRecord]) -> list[str]:
 
 
 def _names(jobs: Sequence[RunRecord]) -> list[str]:
+    """Model, with the dense method where there are several."""
     names = [TITLES.get(job.model, job.model or "unknown") for job in jobs]
     methods = [job.metrics.get("dense_method") for job in jobs]
     if len(set(methods)) == 1:
@@ -111,6 +87,7 @@ def _names(jobs: Sequence[RunRecord]) -> list[str]:
 
 
 def _distinct(words: list[str], jobs: Sequence[RunRecord]) -> list[str]:
+    """The same words, with the run folder where that is not unique."""
     if len(set(words)) == len(words):
         return words
     return [f"{word} [{job.folder.name}]" for word, job in zip(words, jobs, strict=True)]
@@ -128,14 +105,10 @@ def _table(jobs: Sequence[RunRecord], labels: Sequence[str]) -> str:
     header += ["images", "points", "error (px)", "seconds"]
     rows = []
     for job, label in zip(jobs, labels, strict=True):
-        row = [label]
-        if not job.is_complete:
-            rows.append([*row, job.status, *[""] * (len(header) - 2)])
-            continue
-        row += [error_text(job, jobs, stem) for stem in errors.values()]
-        row += [registered(job), rounded(job, "points")]
-        row += [rounded(job, "reprojection_median_px", 3), rounded(job, "seconds_total", 1)]
-        rows.append(row)
+        cells = [error_text(job, jobs, stem) for stem in errors.values()]
+        cells += [registered(job), rounded(job, "points")]
+        cells += [rounded(job, "reprojection_median_px", 3), rounded(job, "seconds_total", 1)]
+        rows.append([label, *(cells if job.is_complete else [job.status, *[""] * (len(cells) - 1)])])
     return markdown_table(header, rows)
 
 

@@ -1,6 +1,7 @@
-"""What was varied between the runs of a sweep."""
+"""What was varied between the runs of a sweep, and which of them stand side by side in the figures."""
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +11,8 @@ from torchrefrac.files.run import METRICS, RunRecord, RunRecordError, RunStatus
 WITHOUT_EFFECT = ("out", "hydra")  # keys of a command line that do not change the result, with all below them
 PLACES = ("scene.path", "scene.name")  # which the scene's name stands for
 METHOD = ("dense", "dense.method")  # which dense stage, as does the metric dense_method
+MOST_PANELS = 6  # side by side
+FIGURES = ("figure1", "dense_figure1", "dense_error_map")  # of reconstructions; how the names of the files begin
 
 
 @dataclass(frozen=True)
@@ -59,22 +62,19 @@ def what_varied(jobs: Sequence[RunRecord]) -> Design:
     """
     known = [job for job in jobs if job.overrides]
     keys = dict.fromkeys(key for job in known for key in job.overrides)
-    varied = [key for key in keys if _has_effect(key) and len({job.overrides.get(key) for job in known}) > 1]
-    varied = [key for key in varied if key not in PLACES or not _follows_scene(known, key)]
+    count = {key: len({job.overrides.get(key) for job in known}) for key in keys}
+    varied = [key for key in keys if count[key] > 1 and not _is_beside_the_point(known, key)]
     averaged = tuple(key for key in varied if short_key(key) == "seed")
     others = [key for key in varied if key not in averaged]
     numeric = [key for key in others if _is_numeric(known, key)]
-    numeric.sort(key=lambda key: (not key.endswith("index_ratio"), -len({job.overrides.get(key) for job in known})))
-    x = numeric[0] if numeric else None
+    x = min(numeric, key=lambda key: (not key.endswith("index_ratio"), -count[key]), default=None)
     return Design(x, tuple(key for key in others if key != x), averaged)
 
 
-def _has_effect(key: str) -> bool:
-    return key not in ("scene", "model") and key.partition(".")[0] not in WITHOUT_EFFECT
-
-
-def _follows_scene(jobs: Sequence[RunRecord], key: str) -> bool:
-    """Whether no two values of the key have the same scene."""
+def _is_beside_the_point(jobs: Sequence[RunRecord], key: str) -> bool:
+    """Whether the key changes no result, or only with scene and model: no two of its values have the same scene."""
+    if key not in PLACES:
+        return key in ("scene", "model") or key.partition(".")[0] in WITHOUT_EFFECT
     pairs = {(job.scene, job.overrides.get(key)) for job in jobs}
     return len({scene for scene, _ in pairs}) == len(pairs)
 
@@ -112,11 +112,45 @@ def has_paper_form(design: Design) -> bool:
     return all(key in METHOD for key in design.keys)
 
 
-def failed_first(jobs: Sequence[RunRecord]) -> list[RunRecord]:
-    """The same jobs, those without results before the others."""
-    return sorted(jobs, key=lambda job: job.is_complete)
-
-
 def scenes_of(jobs: Iterable[RunRecord]) -> list[str]:
     """The names of the scenes, in the order of the jobs."""
     return list(dict.fromkeys(job.scene for job in jobs))
+
+
+def shown_together(jobs: Sequence[RunRecord], design: Design) -> dict[str, list[RunRecord]]:
+    """The complete jobs that share a figure, by what ends the name of its file, such as `_tank_1.2.png`.
+
+    They have one capture and differ in model or dense method alone; of seeds the first is taken. A figure has at least
+    2 jobs (1 where only scene, model and dense method vary) and at most 6.
+    """
+    others = [key for key in design.keys if key not in (*METHOD, *design.averaged)]
+    groups: dict[tuple[str, ...], list[RunRecord]] = {}
+    for job in jobs:
+        if job.is_complete:
+            values = tuple(job.overrides.get(key, "") for key in others)
+            groups.setdefault((str(job.capture or ""), job.scene, *values), []).append(job)
+    if design.averaged:
+        groups = {group: _first_of_each(members) for group, members in groups.items()}
+    fewest = 1 if has_paper_form(design) else 2
+    shown = {group: members for group, members in groups.items() if fewest <= len(members) <= MOST_PANELS}
+    if len(groups) == 1 and shown:
+        return {".png": next(iter(shown.values()))}
+    named: dict[str, list[RunRecord]] = {}
+    for (_, *words), members in shown.items():
+        stem = "_".join(_fit_for_a_file(word) for word in words if word)
+        end, number = f"_{stem}.png", 2
+        while end in named:
+            end, number = f"_{stem}_{number}.png", number + 1
+        named[end] = members
+    return named
+
+
+def _first_of_each(jobs: Sequence[RunRecord]) -> list[RunRecord]:
+    first: dict[tuple[str, str], RunRecord] = {}
+    for job in jobs:
+        first.setdefault((job.model, str(job.metrics.get("dense_method", ""))), job)
+    return list(first.values())
+
+
+def _fit_for_a_file(word: str) -> str:
+    return re.sub(r"[^\w.+-]+", "-", word).strip("-.") or "-"

@@ -1,17 +1,21 @@
-"""What the panels of a sweep's figure are made of: lines and their spots, reference lines, the legend."""
+"""What the panels of a sweep's figure are made of: axes, lines and their spots, reference lines, the legend."""
 
+import math
+import textwrap
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 from torchrefrac.figures.plotting import legend_key
 from torchrefrac.figures.side_views import INK
 from torchrefrac.files.run import RunRecord
 from torchrefrac.sweeps.design import Design, value_of
-from torchrefrac.sweeps.lines import Line, Spot, is_partial
+from torchrefrac.sweeps.lines import Line, Spot, is_partial, places_of
 
 SCENE_RATIO = "scene.index_ratio"
 TRUE_STYLE: dict[str, Any] = {"color": "#777777", "lw": 1.2, "ls": "--"}
 AIR_STYLE = TRUE_STYLE | {"ls": ":"}
+LOG_SPAN = 30.0  # a range of more than this is drawn on a logarithmic scale
 FEWEST = 3  # spots of a line of which the smallest is worth a mark
 
 
@@ -31,10 +35,10 @@ def draw_spots(panel: Any, spots: Sequence[Spot], line: Line, design: Design, co
     Where a spot has several jobs the line runs through their means, and a band (bars without an axis of numbers) shows
     from the smallest to the largest.
     """
-    x, mean = [spot.x for spot in spots], [spot.mean for spot in spots]
     several = [spot for spot in spots if len(spot.values) > 1]
     if design.x is not None:
-        panel.plot(x, mean, color=line.color, ls=line.dash, lw=1.6, zorder=3)
+        x = [spot.x for spot in spots]
+        panel.plot(x, [spot.mean for spot in spots], color=line.color, ls=line.dash, lw=1.6, zorder=3)
         low = [min(spot.values, default=float("nan")) for spot in spots]
         high = [max(spot.values, default=float("nan")) for spot in spots]
         if several:
@@ -47,23 +51,17 @@ def draw_spots(panel: Any, spots: Sequence[Spot], line: Line, design: Design, co
             inside = "white" if spot.partial else line.color
             panel.plot(spot.x, spot.mean, line.marker, ms=5.5, mew=1.3, mec=line.color, mfc=inside, zorder=4)
             if design.x is None and count <= 6:
-                place = (spot.x, spot.mean)
-                panel.annotate(
-                    f"{spot.mean:.3g}", place, (7, 0), textcoords="offset points", va="center", fontsize=8, color=INK
-                )
-    if assumes_ratio(design):
-        _mark_smallest(panel, [spot for spot in spots if spot.values], line, is_named=count == 1)
+                _write_beside(panel, f"{spot.mean:.3g}", spot, (7, 0), va="center")
+    known = [spot for spot in spots if spot.values]
+    if assumes_ratio(design) and len(known) >= FEWEST:
+        best = min(known, key=lambda spot: spot.mean)
+        panel.plot(best.x, best.mean, "o", ms=12, mfc="none", mec=line.color, mew=1.2, zorder=4)
+        if count == 1:
+            _write_beside(panel, f"{best.x:g}", best, (0, 10), ha="center")
 
 
-def _mark_smallest(panel: Any, spots: Sequence[Spot], line: Line, is_named: bool) -> None:
-    if len(spots) < FEWEST:
-        return
-    best = min(spots, key=lambda spot: spot.mean)
-    panel.plot(best.x, best.mean, "o", ms=12, mfc="none", mec=line.color, mew=1.2, zorder=4)
-    if is_named:
-        panel.annotate(
-            f"{best.x:g}", (best.x, best.mean), (0, 10), textcoords="offset points", ha="center", fontsize=8, color=INK
-        )
+def _write_beside(panel: Any, text: str, spot: Spot, by: tuple[int, int], **how: Any) -> None:
+    panel.annotate(text, (spot.x, spot.mean), by, textcoords="offset points", fontsize=8, color=INK, **how)
 
 
 def draw_true_ratio(panel: Any, jobs: Sequence[RunRecord], design: Design) -> None:
@@ -97,3 +95,52 @@ def legend_handles(jobs: Sequence[RunRecord], design: Design, lines: Sequence[Li
         label = f"failed: {len(jobs) - len(complete)} of {len(jobs)} jobs"
         handles.append(legend_key(ls="", marker="x", ms=6, mew=1.6, color=INK, label=label))
     return handles
+
+
+def set_heights(panel: Any, values: Sequence[float]) -> None:
+    """The vertical axis of a panel: logarithmic where the values of the panels with one unit span much; else from 0."""
+    from matplotlib.ticker import FuncFormatter  # noqa: PLC0415 - slow to import
+
+    if not values or max(values) <= 0.0:
+        panel.set_ylim(0.0, 1.0)
+        return
+    low, high = min(values), max(values)
+    if low > 0.0 and high / low > LOG_SPAN:
+        room = (high / low) ** 0.08
+        panel.set_yscale("log")
+        panel.set_ylim(low / room**1.5, high * room**1.5)
+        panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    else:
+        panel.set_ylim(min(0.0, 1.1 * low), 1.15 * high)
+
+
+def set_places(panel: Any, design: Design, lines: Sequence[Line], is_last: bool) -> None:
+    """The horizontal axis: the same for all panels, with its words under the last row of a scene."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator  # noqa: PLC0415 - slow
+
+    if design.x is None:
+        panel.set_xlim(-0.6, len(lines) - 0.4)
+        turned = len(lines) > 4
+        panel.set_xticks(range(len(lines)), [textwrap.fill(line.label, 24 if turned else 13) for line in lines])
+        panel.tick_params(axis="x", labelbottom=is_last, rotation=35 if turned else 0)
+        return
+    places = places_of(lines, design.x)
+    low, high = places[0], places[-1]
+    if low > 0.0 and high / low > LOG_SPAN:
+        panel.set_xscale("log")
+        panel.set_xlim(low / (high / low) ** 0.06, high * (high / low) ** 0.06)
+        gaps = [math.log(b / a) / math.log(high / low) for a, b in pairwise(places)]
+    else:
+        margin = 0.06 * (high - low) or 0.5 * abs(high) or 1.0
+        panel.set_xlim(low - margin, high + margin)
+        gaps = [(b - a) / (high - low) for a, b in pairwise(places)]
+    if len(places) <= 9 and min(gaps, default=1.0) > 0.08:
+        panel.xaxis.set_major_locator(FixedLocator(places))
+        panel.xaxis.set_minor_locator(NullLocator())
+        panel.xaxis.set_minor_formatter(NullFormatter())
+    panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panel.tick_params(axis="x", labelbottom=is_last)
+    if is_last:
+        is_true, is_assumed = design.x == SCENE_RATIO, assumes_ratio(design)
+        title = "true index ratio" if is_true else "assumed index ratio" if is_assumed else design.x
+        panel.set_xlabel(title, fontsize=9)

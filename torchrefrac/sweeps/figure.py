@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from torchrefrac.atomic import replacing
-from torchrefrac.figures.plotting import blank_figure
+from torchrefrac.figures.plotting import blank_figure, save
 from torchrefrac.figures.side_views import INK
 from torchrefrac.files.run import RunRecord
-from torchrefrac.sweeps.axes import set_heights, set_places
+from torchrefrac.sweeps.cells import unit_of
 from torchrefrac.sweeps.design import Design, scenes_of
-from torchrefrac.sweeps.drawing import draw_spots, draw_true_ratio, legend_handles
+from torchrefrac.sweeps.drawing import draw_spots, draw_true_ratio, legend_handles, set_heights, set_places
 from torchrefrac.sweeps.lines import Line, Spot, lines_of, places_of, spots_of
-from torchrefrac.sweeps.units import unit_of
 
 AGAINST_TRUTH = (
     (("camera_rms",), "camera RMS"),
@@ -39,18 +37,13 @@ class Measure:
     title: str
     has_unit: bool
 
-    def name(self, unit: str) -> str:
-        """The metric's name with the unit."""
-        return f"{self.metric}_{unit}" if self.has_unit else self.metric
-
 
 @dataclass(frozen=True)
 class Cell:
     """One panel: what a scene has of a measure, a list of spots for each line."""
 
-    scene: str
     unit: str
-    spots: tuple[tuple[Spot, ...], ...]
+    spots: list[list[Spot]]
 
     @property
     def values(self) -> list[float]:
@@ -101,21 +94,15 @@ def draw_sweep(jobs: Sequence[RunRecord], design: Design, path: Path) -> bool:
             draw_true_ratio(panel, [job for job in complete if job.scene == scenes[i]], design)
     if handles:
         figure.legend(handles=handles, loc="outside upper center", ncols=per_row, fontsize=8.5, frameon=False)
-    with replacing(path) as temporary:
-        figure.savefig(temporary)
+    save(figure, path)
     return True
 
 
 def measures_of(jobs: Sequence[RunRecord]) -> list[Measure]:
     """The rows of the figure; empty without complete jobs."""
-    found = []
-    for stems, title in AGAINST_TRUTH:
-        stem = next((stem for stem in stems if unit_of(jobs, stem)), None)
-        if stem is not None:
-            found.append(Measure(stem, title, True))
-    if not found and jobs:
-        found = [Measure(name, title, False) for name, title in WITHOUT_TRUTH]
-    return found
+    known = ((next((stem for stem in stems if unit_of(jobs, stem)), ""), title) for stems, title in AGAINST_TRUTH)
+    found = [Measure(stem, title, True) for stem, title in known if stem]
+    return found if found or not jobs else [Measure(name, title, False) for name, title in WITHOUT_TRUTH]
 
 
 def _cell(
@@ -127,9 +114,8 @@ def _cell(
     expected: Sequence[float],
 ) -> Cell:
     unit = unit_of([job for job in complete if job.scene == scene], measure.metric) if measure.has_unit else ""
-    name = measure.name(unit)
-    spots = (spots_of(line, scene, design.x, name, i, expected) for i, line in enumerate(lines))
-    return Cell(scene, unit, tuple(tuple(of_line) for of_line in spots))
+    name = f"{measure.metric}_{unit}" if measure.has_unit else measure.metric
+    return Cell(unit, [spots_of(line, scene, design.x, name, i, expected) for i, line in enumerate(lines)])
 
 
 def _draw_cell(panel: Any, cell: Cell, lines: Sequence[Line], design: Design) -> None:
@@ -147,7 +133,6 @@ def _draw_cell(panel: Any, cell: Cell, lines: Sequence[Line], design: Design) ->
                 )  # fmt: skip
     panel.grid(True, color="#e6e6e6", lw=0.6, zorder=0)
     panel.tick_params(labelsize=8)
-    for side in ("top", "right"):
-        panel.spines[side].set_visible(False)
+    panel.spines[["top", "right"]].set_visible(False)
     if not cell.values:
         panel.text(0.5, 0.5, "no value", transform=panel.transAxes, ha="center", va="center", color=INK, fontsize=9)

@@ -1,7 +1,12 @@
-"""The folder of a sweep: what it holds from before, whether that may stay, and its jobs; imports nothing slow."""
+"""The folder of a sweep: what it holds from before, whether that may stay, and its jobs; imports nothing slow.
 
+Also failures that a run could not record itself, and what to say of folders that cannot be used.
+"""
+
+import errno
 import tempfile
-from collections.abc import Mapping
+import traceback
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,11 +14,12 @@ from typing import Any
 import yaml
 
 from torchrefrac.errors import TorchrefracError
-from torchrefrac.files.run import METRICS
-from torchrefrac.sweeps.failures import unusable, write_failure
+from torchrefrac.files.run import METRICS, RunRecord
 from torchrefrac.sweeps.jobs import NO_SETTINGS, Job, by_name, read_sweep, record_of, remembered, write_sweep
 
 MISSING = "not there"
+FULL = (errno.ENOSPC, errno.EDQUOT)
+FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 
 class SweepError(TorchrefracError, ValueError):
@@ -126,3 +132,37 @@ def _flat(values: Any, path: str = "") -> dict[str, Any]:
     for key, value in values.items():
         flat |= _flat(value, f"{path}.{key}" if path else str(key))
     return flat
+
+
+def write_failure(folder: Path, reason: str, model: str, scene: str, overrides: Iterable[str]) -> None:
+    """metrics.json of a job that failed before its run began, or beside it.
+
+    Raises OSError where the folder does not take it.
+    """
+    about = {"status": "failed", "stages": [], "model": model, "scene": scene, "overrides": by_name(overrides)}
+    RunRecord.of(folder, about | {"reason": reason}).write()
+
+
+def append_traceback(error: BaseException, folder: Path) -> None:
+    """Keep in run.log where an error came from. Raises OSError where the folder does not take it."""
+    with (folder / "run.log").open("a", encoding="utf-8") as log:
+        log.write("".join(traceback.format_exception(error)))
+
+
+def file_sentence(error: OSError, folder: Path | None) -> str:
+    """Which file or disk cannot be used, and what to do; `folder` is where results go, for errors without a file."""
+    place = error.filename2 or error.filename or folder
+    if error.errno in FULL:
+        disk = "the disk" if place is None else f"the disk that holds {folder or Path(str(place)).parent}"
+        return f"{disk} is full; make room there, or give a folder elsewhere as out=DIR"
+    problem = error.strerror or type(error).__name__
+    if place is None:
+        return problem
+    remedy = "; where results should go there, give another folder as out=DIR" if error.errno in FORBIDDEN else ""
+    return f"{place} cannot be used ({problem}){remedy}"
+
+
+def unusable(folder: Path, error: OSError) -> str:
+    """The sentence for a folder that results cannot go to."""
+    problem = error.strerror or type(error).__name__
+    return f"{folder} cannot be written to ({problem}); make it a folder that can, or give another as out=DIR"

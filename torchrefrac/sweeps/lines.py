@@ -68,8 +68,7 @@ def lines_of(jobs: Sequence[RunRecord], design: Design) -> list[Line]:
 
 def places_of(lines: Sequence[Line], x: str) -> list[float]:
     """All places along the axis of numbers, from left to right."""
-    found = {place for line in lines for job in line.jobs if (place := value_of(job, x)) is not None}
-    return sorted(found)
+    return sorted({place for line in lines for job in line.jobs if (place := value_of(job, x)) is not None})
 
 
 def spots_of(
@@ -88,21 +87,16 @@ def spots_of(
 
 
 def _spot(place: float, jobs: Sequence[RunRecord], metric: str) -> Spot:
-    shown = [(job, value) for job in jobs if job.is_complete and (value := measured(job, metric)) is not None]
-    return Spot(
-        place,
-        tuple(value for _, value in shown),
-        any(is_partial(job) for job, _ in shown),
-        sum(not job.is_complete for job in jobs),
-    )
+    shown = [(job, value) for job in jobs if job.is_complete and (value := _measured(job, metric)) is not None]
+    failures = sum(not job.is_complete for job in jobs)
+    return Spot(place, tuple(value for _, value in shown), any(is_partial(job) for job, _ in shown), failures)
 
 
-def measured(job: RunRecord, metric: str) -> float | None:
-    """A metric of the job, or the share of registered images."""
-    return registered_share(job) if metric == "registered_share" else job.number(metric)
+def _measured(job: RunRecord, metric: str) -> float | None:
+    return _registered_share(job) if metric == "registered_share" else job.number(metric)
 
 
-def registered_share(job: RunRecord) -> float | None:
+def _registered_share(job: RunRecord) -> float | None:
     """Registered images of all, in per cent."""
     registered, images = job.number("registered_images"), job.number("images")
     return 100.0 * registered / images if registered is not None and images else None
@@ -110,7 +104,7 @@ def registered_share(job: RunRecord) -> float | None:
 
 def is_partial(job: RunRecord) -> bool:
     """Whether images of the job are known to have no place."""
-    share = registered_share(job)
+    share = _registered_share(job)
     return share is not None and share < 100.0
 
 

@@ -7,9 +7,8 @@ from typing import NamedTuple
 from torchrefrac.atomic import replacing
 from torchrefrac.files.run import RunRecord
 from torchrefrac.record.terminal import wrapped
-from torchrefrac.sweeps.design import Design, load_runs, short_keys, what_varied
+from torchrefrac.sweeps.design import FIGURES, Design, load_runs, short_keys, shown_together, what_varied
 from torchrefrac.sweeps.figure import draw_sweep
-from torchrefrac.sweeps.pictured import FIGURES, shown_together
 from torchrefrac.sweeps.table import csv_text, results_table
 
 LINKS = {
@@ -61,12 +60,8 @@ def failed_jobs(jobs: Sequence[RunRecord], design: Design) -> str:
     lines = [f"{len(failed)} of {len(jobs)} jobs failed:" if len(jobs) > 1 else "The job failed:", ""]
     short = short_keys(design.keys)
     for job in failed:
-        parts = [
-            job.scene,
-            job.model,
-            *(f"{short[key]}={job.overrides[key]}" for key in design.keys if key in job.overrides),
-        ]
-        about = ", ".join(word for word in parts if word)
+        chosen = (f"{short[key]}={job.overrides[key]}" for key in design.keys if key in job.overrides)
+        about = ", ".join(filter(None, (job.scene, job.model, *chosen)))
         state = "" if job.status == "failed" else f"{job.status}: "
         lines.append(wrapped(f"- {job.folder.name}{f' ({about})' if about else ''}: {state}{job.reason}"))
     return "\n".join(lines)

@@ -3,27 +3,24 @@
 import csv
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from torchrefrac.files.run import RunRecord, is_number
 from torchrefrac.record.terminal import WIDTH
-from torchrefrac.sweeps.design import Design, failed_first, scenes_of, short_keys
+from torchrefrac.sweeps.cells import error_text, in_header, markdown_table, registered, rounded
+from torchrefrac.sweeps.design import Design, scenes_of, short_keys
 from torchrefrac.sweeps.figure import measures_of
-from torchrefrac.sweeps.markdown import markdown_table
-from torchrefrac.sweeps.units import error_text, in_header, registered, rounded
 
 ABOUT = ("job", "status", "reason", "scene", "model")
 BRIEF = {"camera RMS": "camera", "3D error": "3D", "flatness": "flat", "dense error": "dense"}
 NOTHING = "-"
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of the table: names from long to short, what a job has in it; is_extra: may go where width is short."""
+class Column(NamedTuple):
+    """A column of the table: names from long to short, and what a job has in it."""
 
     names: tuple[str, ...]
     cell: Callable[[RunRecord], str]
-    is_extra: bool = False
 
 
 def csv_text(jobs: Sequence[RunRecord], design: Design) -> str:
@@ -37,7 +34,7 @@ def csv_text(jobs: Sequence[RunRecord], design: Design) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([*ABOUT, *varied, *numbers])
-    for job in failed_first(jobs):
+    for job in sorted(jobs, key=lambda job: job.is_complete):
         about = [job.folder.name, job.status, job.reason, job.scene, job.model]
         settings = [job.overrides.get(key, "") for key in varied]
         metrics = [job.metrics[name] if is_number(job.metrics.get(name)) else "" for name in numbers]
@@ -48,23 +45,14 @@ def csv_text(jobs: Sequence[RunRecord], design: Design) -> str:
 def results_table(jobs: Sequence[RunRecord], design: Design) -> str:
     """The complete jobs in Markdown, at most as wide as a terminal for usual sweeps; empty without such jobs.
 
-    Names are shortened and extra columns left out, the last first, until it fits.
+    Names are shortened, and the last column is left out, where it does not fit otherwise.
     """
     complete = [job for job in jobs if job.is_complete]
     if not complete:
         return ""
     columns = _columns(complete, jobs, design)
-    table = _render(columns, complete, 0)
-    for shortness in (0, 1):
-        chosen = columns
-        table = _render(chosen, complete, shortness)
-        while _width(table) > WIDTH and shortness and any(column.is_extra for column in chosen):
-            last = max(i for i, column in enumerate(chosen) if column.is_extra)
-            chosen = chosen[:last] + chosen[last + 1 :]
-            table = _render(chosen, complete, shortness)
-        if _width(table) <= WIDTH:
-            break
-    return table
+    tables = [_render(chosen, complete, place) for chosen, place in ((columns, 0), (columns, -1), (columns[:-1], -1))]
+    return next((table for table in tables if max(map(len, table.splitlines())) <= WIDTH), tables[-1])
 
 
 def _columns(complete: Sequence[RunRecord], jobs: Sequence[RunRecord], design: Design) -> list[Column]:
@@ -74,50 +62,31 @@ def _columns(complete: Sequence[RunRecord], jobs: Sequence[RunRecord], design: D
         columns.append(Column(("scene",), lambda job: job.scene or NOTHING))
     if len({job.model for job in jobs}) > 1 or not design.keys:
         columns.append(Column(("model",), lambda job: job.model or NOTHING))
-    columns += [Column((short[key],), _setting(key)) for key in design.keys]
+    columns += [Column((short[key],), lambda job, key=key: job.overrides.get(key) or NOTHING) for key in design.keys]
     if len({tuple(column.cell(job) for column in columns) for job in complete}) < len(complete):
         columns.insert(0, Column(("job",), lambda job: job.folder.name))
     columns.append(Column(("registered", "reg."), registered))
     for measure in measures_of(complete):
-        title = measure.title.split(",")[0]
-        if not measure.has_unit:
-            if measure.metric != "registered_share":
-                columns.append(Column((title,), _metric(measure.metric)))
-            continue
-        brief = BRIEF.get(title, title)
-        names = tuple(in_header(name, complete, measure.metric) for name in (title, brief))
-        columns.append(Column(names, _error(measure.metric, complete)))
+        title, metric = measure.title.split(",")[0], measure.metric
+        if measure.has_unit:
+            names = tuple(in_header(name, complete, metric) for name in (title, BRIEF.get(title, title)))
+            columns.append(Column(names, lambda job, metric=metric: error_text(job, complete, metric)))
+        elif metric != "registered_share":
+            columns.append(Column((title,), lambda job, metric=metric: _plain(job.number(metric))))
     if any(job.number("index_ratio_sigma") is not None for job in complete):
         columns.append(Column(("estimated ratio", "ratio"), _estimated))
-    columns.append(Column(("seconds", "s"), lambda job: rounded(job, "seconds_total", 1), is_extra=True))
-    return columns
+    return [*columns, Column(("seconds", "s"), lambda job: rounded(job, "seconds_total", 1))]
 
 
-def _render(columns: Sequence[Column], jobs: Sequence[RunRecord], shortness: int) -> str:
-    header = [column.names[min(shortness, len(column.names) - 1)] for column in columns]
-    return markdown_table(header, [[column.cell(job) for column in columns] for job in jobs])
+def _render(columns: Sequence[Column], jobs: Sequence[RunRecord], place: int) -> str:
+    rows = [[column.cell(job) for column in columns] for job in jobs]
+    return markdown_table([column.names[place] for column in columns], rows)
 
 
-def _width(table: str) -> int:
-    return max(map(len, table.splitlines()))
-
-
-def _setting(key: str) -> Callable[[RunRecord], str]:
-    return lambda job: job.overrides.get(key) or NOTHING
-
-
-def _metric(name: str) -> Callable[[RunRecord], str]:
-    def cell(job: RunRecord) -> str:
-        value = job.number(name)
-        if value is None:
-            return NOTHING
-        return f"{value:.0f}" if value.is_integer() else f"{value:.3f}"
-
-    return cell
-
-
-def _error(stem: str, jobs: Sequence[RunRecord]) -> Callable[[RunRecord], str]:
-    return lambda job: error_text(job, jobs, stem)
+def _plain(value: float | None) -> str:
+    if value is None:
+        return NOTHING
+    return f"{value:.0f}" if value.is_integer() else f"{value:.3f}"
 
 
 def _estimated(job: RunRecord) -> str:
