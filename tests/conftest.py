@@ -1,5 +1,6 @@
 """Fixtures of the whole suite: seeded random numbers, a scene, and the data sets that lie beside the repository."""
 
+import gc
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,6 +14,14 @@ from torch import Tensor
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.geometry import heading_rotation, level_rotation, rotate, split_heading
 from torchrefrac.refraction import FlatInterface, lift_points
+
+
+def pytest_collection_finish() -> None:
+    """What is loaded by now stays to the end: looking for garbage in it takes an eighth of the time of the tests."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000, 20, 20)
+
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 

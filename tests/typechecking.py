@@ -27,7 +27,7 @@ from typing_extensions import is_protocol
 PACKAGE = "torchrefrac"
 NAME = "__checked__"  # of the decorator in the modules of the package
 CONF = BeartypeConf(is_pep484_tower=True)
-EVERY_CALL, ONE_IN = 40, 40  # the first calls of a function in a process are all checked, later ones in part
+EVERY_CALL, ONE_IN = 16, 64  # the first calls of a function in a process are all checked, later ones in part
 _stated: dict[Any, tuple[Signature, dict[str, Any]]] = {}
 
 

@@ -109,13 +109,20 @@ def small_tank(part_of_tank):
 
 
 @pytest.fixture
+def half_of_tank(tmp_path):
+    """`half_of_tank([0, 3])`: folder of a capture with those images of the embedded scene, at half their size."""
+    return lambda images: _half_of_tank(images, tmp_path / "half_of_tank")
+
+
+@pytest.fixture
 def metrics():
     """The metrics.json of a run folder."""
     return lambda folder: json.loads((Path(folder) / "metrics.json").read_text())
 
 
-def _make_sparse(folder):
-    capture = _copy_part_of_tank((0, 2, 4), folder / "capture")
+def _half_of_tank(images, folder):
+    """Folder of a capture with those images of the embedded scene, at half their size."""
+    capture = _copy_part_of_tank(images, folder)
     content = json.loads((capture / "capture.json").read_text())
     lens = content["intrinsics"]
     assert content["pixel_origin"] == "center"
@@ -124,6 +131,11 @@ def _make_sparse(folder):
     (capture / "capture.json").write_text(json.dumps(content))
     for path in (capture / "images").iterdir():
         cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), (320, 240), interpolation=cv2.INTER_AREA))
+    return capture
+
+
+def _make_sparse(folder):
+    capture = _half_of_tank((0, 2, 4), folder / "capture")
     recorder, truth = SilentRecorder(), load_truth(capture)
     pipeline.run(load_capture(capture), Options(), recorder, folder / "run", truth=truth)
 
@@ -137,12 +149,12 @@ def sparse(made_once):
 
 @pytest.fixture(scope="session")
 def both_models(made_once):
-    """Folder with `part_of_tank`, and `both`, a sweep over two models of it, sparse and dense, with all reports; and
+    """Folder with `capture`, and `both`, a sweep over two models of it, sparse and dense, with all reports; and
     how the command ended. Not to be changed."""
 
     def make(folder):
-        capture = _copy_part_of_tank([0, 1, 2, 3], folder / "part_of_tank")
-        scene = ("scene=capture", f"scene.path={capture}", "model=none,refractive", "features.max_features=2000")
+        capture = _half_of_tank((0, 2, 4, 6), folder / "capture")
+        scene = ("scene=capture", f"scene.path={capture}", "model=none,refractive")
         dense = (
             "dense=patch",
             "dense.cell=12",

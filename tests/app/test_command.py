@@ -43,9 +43,9 @@ def test_a_run_leaves_the_promised_files_and_a_right_reconstruction(complete_run
     assert any(tag.startswith("sparse") for tag in events.Tags()["tensors"])
 
 
-def test_the_same_seed_gives_the_same_cameras(torchrefrac, small_tank, complete_run):
-    torchrefrac("scene=capture", f"scene.path={small_tank}", "out=second")
-    first, second = (run / "cameras.json" for run in (complete_run[0], small_tank.parent / "second"))
+def test_the_same_seed_gives_the_same_cameras(torchrefrac, sparse, tmp_path):
+    torchrefrac("scene=capture", f"scene.path={sparse / 'capture'}", "out=second")
+    first, second = (run / "cameras.json" for run in (sparse / "run", tmp_path / "second"))
     assert first.read_bytes() == second.read_bytes()
 
 
@@ -63,7 +63,7 @@ def test_a_multirun_over_the_models_ends_with_table_and_figure(both_models, metr
     assert refractive["alignment"] == "4-dof"
     table = (both / "table1.md").read_text()
     assert table.strip() in ended.out
-    assert none["capture"] == str(folder / "part_of_tank")
+    assert none["capture"] == str(folder / "capture")
     assert "No refraction" in table
     assert "Refraction" in table
     assert cv2.imread(str(both / "figure1.png")).std() > 5
@@ -113,15 +113,18 @@ def test_images_without_texture_make_no_pair(torchrefrac, small_tank, metrics):
     assert not (run / "cameras.json").exists()
 
 
-def test_an_image_that_cannot_be_registered_is_named_and_the_others_are_reconstructed(torchrefrac, small_tank, metrics):
-    cv2.imwrite(str(small_tank / "images" / "cam02.jpg"), np.full((480, 640, 3), 127, dtype=np.uint8))
-    ended = torchrefrac("scene=capture", f"scene.path={small_tank}", FEWER, "out=run")
+def test_an_image_that_cannot_be_registered_is_named_and_the_others_are_reconstructed(
+    torchrefrac, half_of_tank, tmp_path, metrics
+):
+    tank = half_of_tank([0, 1, 2, 3])
+    cv2.imwrite(str(tank / "images" / "cam02.jpg"), np.full((240, 320, 3), 127, dtype=np.uint8))
+    ended = torchrefrac("scene=capture", f"scene.path={tank}", "out=run")
     assert ended.status == 0
     assert "not registered: cam02.jpg sees only 0 reconstructed points" in ended.out
-    found = metrics(small_tank.parent / "run")
+    found = metrics(tmp_path / "run")
     assert (found["images"], found["registered_images"]) == (4, 3)
     assert list(found["not_registered"]) == ["cam02.jpg"]
-    entry = json.loads((small_tank.parent / "run" / "cameras.json").read_text())["images"][2]
+    entry = json.loads((tmp_path / "run" / "cameras.json").read_text())["images"][2]
     assert entry["registered"] is False
 
 
@@ -146,12 +149,11 @@ def test_an_interrupt_leaves_the_finished_stages(torchrefrac, small_tank, metric
     assert not list(run.glob(".*partial*"))
 
 
-def test_a_failed_job_of_a_multirun_does_not_stop_the_others(torchrefrac, small_tank, metrics):
-    ended = torchrefrac(
-        "-m", "scene=capture", f"scene.path={small_tank}", "water.index_ratio=0.5,1.33", FEWER, "out=runs"
-    )
+def test_a_failed_job_of_a_multirun_does_not_stop_the_others(torchrefrac, sparse, tmp_path, metrics):
+    capture = sparse / "capture"
+    ended = torchrefrac("-m", "scene=capture", f"scene.path={capture}", "water.index_ratio=0.5,1.33", "out=runs")
     assert ended.status == 1
-    runs = sorted(p for p in (small_tank.parent / "runs").iterdir() if p.is_dir())
+    runs = sorted(p for p in (tmp_path / "runs").iterdir() if p.is_dir())
     assert [metrics(run)["status"] for run in runs] == ["failed", "complete"]
 
 

@@ -85,9 +85,9 @@ def test_a_search_through_every_pair_finds_the_same(
     make_basin, draw, low: float, high: float, band: float, spacing: float
 ):
     _, other, rays, _, _ = _planted(make_basin(points=30, land=6, index_ratio=1.33))
-    beside = draw.uniform(max(low, -60.0), min(high, 130.0), 600)
-    pixels, seen = other.project(rays[torch.arange(600) % 30].at(beside), inside_image=True)
-    pixels = (pixels + 4.0 * draw.normal(600, 2))[seen]
+    beside = draw.uniform(max(low, -60.0), min(high, 130.0), 300)
+    pixels, seen = other.project(rays[torch.arange(300) % 30].at(beside), inside_image=True)
+    pixels = (pixels + 4.0 * draw.normal(300, 2))[seen]
     near, far = torch.full((30,), low).double(), torch.full((30,), high).double()
     kind, others = torch.arange(30) % 2, InterestPoints(pixels, torch.arange(len(pixels)) // 30 % 2)
 

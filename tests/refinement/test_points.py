@@ -120,7 +120,7 @@ def test_each_point_is_where_scipy_puts_it(sightings_of, draw, loss_scale):
     for i, start in enumerate(sightings.truth):
         rows = sightings.point == i
         cameras, pixels = sightings.cameras[rows], (sightings.pixels + noise)[rows]
-        found = least_squares(_residuals(cameras, pixels, loss_scale), start, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+        found = least_squares(_residuals(cameras, pixels, loss_scale), start, xtol=1e-12, ftol=1e-12, gtol=1e-12).x
         torch.testing.assert_close(estimate.points[i], torch.from_numpy(found), rtol=0.0, atol=2e-5)
         square = (cameras.project(estimate.points[i])[0] - pixels).square().sum(dim=-1)
         torch.testing.assert_close(estimate.rms[i], square.mean().sqrt())

@@ -41,16 +41,17 @@ def make_pair(make_basin, draw):
     return make
 
 
-def test_verticals_are_found_within_a_degree_and_as_well_as_their_sigma_says(make_pair):
+@pytest.mark.parametrize("draws", [10, pytest.param(40, marks=pytest.mark.slow)])
+def test_verticals_are_found_within_a_degree_and_as_well_as_their_sigma_says(make_pair, draws):
     near, normalised = [], []
-    for _ in range(20):
+    for _ in range(draws):
         pair = make_pair(points=1000, outliers=300)
         found = pair.solve()
         assert found.status == "success"
         off = pair.off(found)
         near.append(bool((off < math.radians(1.0)).all()))
         normalised.append(off / found.sigma)
-    assert sum(near) >= 18
+    assert sum(near) >= 0.9 * draws
     assert 0.6 < float(torch.stack(normalised).square().mean().sqrt()) < 1.5
 
 

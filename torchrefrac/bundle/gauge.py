@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.terms import Residuals
+from torchrefrac.geometry import skew
 from torchrefrac.scene import Scene
 
 UNNOTICED = 1e-9
@@ -20,18 +21,16 @@ def similarity_motions(scene: Scene, layout: Layout) -> tuple[Float[Tensor, "siz
     turns about x, y, z through the origin; scale about it."""
     rotation, center, interfaces = scene.views.rotation, scene.views.center, scene.interfaces
     normal, offset = interfaces.normal, interfaces.offset
-    axes = torch.eye(3, dtype=center.dtype, device=center.device)
     m, e = len(center), len(normal)
     poses, planes = center.new_zeros(m, 6, 7), center.new_zeros(e, 3, 7)
     position = scene.points[layout.reduced_points]
     points = center.new_zeros(len(position), 3, 7)
     first, second = interfaces.planes.tangents_like(center)
-    for k, axis in enumerate(axes):
-        poses[:, 3:, k], points[..., k], planes[:, 2, k] = axis, axis, normal @ axis
-        poses[:, :3, 3 + k] = -(rotation @ axis)
-        poses[:, 3:, 3 + k], points[..., 3 + k] = _turned(axis, center), _turned(axis, position)
-        turned = _turned(axis, normal)
-        planes[:, 0, 3 + k], planes[:, 1, 3 + k] = -(second * turned).sum(-1), (first * turned).sum(-1)
+    axes, turned = torch.eye(3, dtype=center.dtype, device=center.device), -skew(normal)
+    poses[:, 3:, :3], points[..., :3], planes[:, 2, :3] = axes, axes, normal
+    poses[:, :3, 3:SCALE], poses[:, 3:, 3:SCALE], points[..., 3:SCALE] = -rotation, -skew(center), -skew(position)
+    planes[:, 0, 3:SCALE] = -(second[:, None] @ turned)[:, 0]
+    planes[:, 1, 3:SCALE] = (first[:, None] @ turned)[:, 0]
     poses[:, 3:, SCALE], points[..., SCALE], planes[:, 2, SCALE] = center, position, offset
     motions = center.new_zeros(layout.size + 1, 7)
     motions[layout.pose_columns(torch.arange(m, device=center.device)).flatten()] = poses.flatten(0, 1)
@@ -112,7 +111,3 @@ def _triangle(rows: Float[Tensor, "k 7"]) -> Float[Tensor, "7 7"]:
     _, triangle = torch.linalg.qr(torch.nn.functional.pad(rows, (0, 0, 0, max(0, 7 - len(rows)))))
     pivot, eps = triangle.diagonal(), torch.finfo(triangle.dtype).eps
     return triangle + torch.where(pivot.abs() > eps, 0.0, eps).diag_embed()
-
-
-def _turned(axis: Float[Tensor, "3"], vectors: Float[Tensor, "k 3"]) -> Float[Tensor, "k 3"]:
-    return torch.linalg.cross(axis.expand_as(vectors), vectors)
