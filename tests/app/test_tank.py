@@ -53,7 +53,11 @@ def test_gravity_that_is_four_degrees_off_costs_no_accuracy(shared_data, draw):
     capture, truth = tr.load_capture(folder), load_truth(folder)
     sideways = torch.linalg.cross(-truth.rotation[..., 2], draw.directions(12))
     tilt = so3_exp(math.radians(4.0) * torch.nn.functional.normalize(sideways, dim=-1))
-    wrong = replace(capture, down_in_cam=rotate(tilt, -truth.rotation[..., 2]), down_sigma=math.radians(4.0))
+    wrong = replace(
+        capture,
+        down_in_cam=rotate(tilt, -truth.rotation[..., 2]),
+        down_sigma=torch.full_like(capture.height, math.radians(4.0)),
+    )
     found, _ = evaluate(tr.reconstruct(wrong), truth)
     assert found["camera_rms_cm"] <= 0.02
 

@@ -50,7 +50,7 @@ def write_capture(rendered: Rendered, folder: Path, names: Sequence[str] = ()) -
         cameras=Cameras.of([rendered.cameras.intrinsics]),
         interfaces=Interfaces.level(_index_ratio(rendered)),
         down_in_cam=-rendered.cameras.cam_from_world_rotation[:, :, 2],
-        down_sigma=0.0,
+        down_sigma=torch.zeros(count, dtype=torch.float64),
         height=torch.zeros(count, dtype=torch.float64),
         has_height=torch.zeros(count, dtype=torch.bool),
         length_unit="cm",

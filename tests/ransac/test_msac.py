@@ -92,6 +92,15 @@ def test_as_many_samples_are_drawn_as_the_confidence_needs(
     assert report.num_samples == len(location.samples) == expected
 
 
+def test_few_data_are_given_up_as_soon_as_no_model_can_have_enough_inliers(make_location, generator):
+    """20 of 30 must agree: ln(1 - 0.9999) / ln(1 - (2/3)^4), rounded up; but no fewer than a batch."""
+    location = make_location(0, 30, sample_size=4, answer=([5.0], [True]))
+    options = RansacOptions(max_error=1.0, batch_size=1, max_batch_size=1, min_inliers=20)
+
+    assert ransac(location, options, generator).num_samples == 42
+    assert ransac(location, replace(options, batch_size=100, max_batch_size=100), generator).num_samples == 100
+
+
 def test_more_confidence_needs_more_samples(make_location, generator):
     location = make_location(50, 50, sample_size=2, answer=([5.0], [True]))
 

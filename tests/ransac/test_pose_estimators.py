@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -138,6 +139,19 @@ def test_the_same_seed_finds_the_same_pose_to_the_last_bit(make_problem, kind):
 
 
 @relative_and_absolute
+def test_a_refinement_that_walks_off_its_consensus_is_not_taken(make_problem, draw, kind, monkeypatch):
+    estimator, truth, _, _ = make_problem(kind, noise=0.3)
+    near, far = truth[None] + 1e-5 * draw.normal(1, len(truth)), truth[None] + 10.0
+    monkeypatch.setattr(type(estimator.data), "refine", lambda *_: SimpleNamespace(states=far))
+
+    for thorough in (False, True):
+        models, costs = estimator.optimize(near, OPTIONS.max_error, None, thorough)
+
+        assert torch.equal(models, near)
+        assert torch.equal(costs, estimator.data.costs(near, OPTIONS.max_error))
+
+
+@relative_and_absolute
 def test_random_matches_have_no_consensus_and_give_no_pose(make_problem, generator, kind):
     estimator, _, _, _ = make_problem(kind, outliers=200)
 
@@ -197,7 +211,7 @@ def test_under_a_millimetre_of_water_the_pose_is_found_because_the_surface_is_wh
 
     assert report.status == "success"
     assert (report.model[5:] - estimator.truth[5:]).norm() < 0.01 * estimator.truth[5:7].norm()
-    assert report.num_inliers < 100  # noise lifts some above the water
+    assert report.num_inliers > 90  # of 100: noise lifts some above the water
 
 
 @pytest.mark.parametrize("index_ratio", [1.0005, 1.002])

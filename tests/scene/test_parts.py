@@ -69,7 +69,7 @@ def capture_of(scene):
         cameras=scene.cameras,
         interfaces=Interfaces.level(1.2),
         down_in_cam=torch.zeros(4, 3, dtype=torch.float64),
-        down_sigma=0.01,
+        down_sigma=torch.full((4,), 0.01, dtype=torch.float64),
         height=torch.zeros(4, dtype=torch.float64),
         has_height=torch.zeros(4, dtype=torch.bool),
         length_unit="cm",

@@ -108,7 +108,7 @@ def survey_of(make_basin, draw, tmp_path) -> Callable[..., Survey]:
             cameras=Cameras.of([basin.lens]),
             interfaces=Interfaces.level(basin.index_ratio),
             down_in_cam=(tilt @ basin.down_in_cam[..., None])[..., 0],
-            down_sigma=float(torch.deg2rad(torch.tensor(max(gravity_error_deg, 0.01)))),
+            down_sigma=torch.full((cameras,), max(gravity_error_deg, 0.01)).double().deg2rad(),
             height=basin.center[:, 2],
             has_height=torch.arange(cameras) == 0,
             length_unit="cm",
@@ -131,7 +131,7 @@ def rules_of() -> Callable[..., Rules]:
         def gravity(part: Part) -> list[GravityPrior]:
             if survey.basin.index_ratio == 1.0:
                 return []
-            return [GravityPrior(capture.down_in_cam[part.view], capture.down_sigma)]
+            return [GravityPrior(capture.down_in_cam[part.view], capture.down_sigma[part.view])]
 
         return Rules(bundle=bundle, measurements=gravity)
 

@@ -117,4 +117,4 @@ def test_gravity_that_is_known_to_be_vague_widens_the_search(survey_of, generato
         return initializer.absolute(1, pixels, survey.basin.points[track], generator)
 
     assert find(survey.capture).inliers.sum() > 0.95 * len(pixels)
-    assert find(replace(survey.capture, down_sigma=1e-6)) is None
+    assert find(replace(survey.capture, down_sigma=torch.full_like(survey.capture.height, 1e-6))) is None

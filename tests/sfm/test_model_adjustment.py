@@ -104,7 +104,7 @@ def test_poses_that_are_fixed_stay_to_the_last_bit_while_points_move(survey_of, 
 
 def test_through_water_gravity_is_a_prior(survey_of, rules_of, disturbed):
     survey = survey_of(noise=1.0)
-    sure = replace(survey, capture=replace(survey.capture, down_sigma=1e-8))
+    sure = replace(survey, capture=replace(survey.capture, down_sigma=torch.full_like(survey.capture.height, 1e-8)))
 
     adjusted, _ = adjust(disturbed(survey), rules_of(sure, OPTIONS))
 

@@ -193,7 +193,7 @@ def incremental(given):
     def gravity(part):
         if part.scene.index_ratio == 1.0:
             return []
-        return [tr.bundle.GravityPrior(given.capture.down_in_cam[part.view], given.capture.down_sigma)]
+        return [tr.bundle.GravityPrior(given.capture.down_in_cam[part.view], given.capture.down_sigma[part.view])]
 
     rules = given.options.rules(given.initializer, gravity, given.generator)
     solver = LevenbergMarquardtOptions(max_iterations=10, function_tolerance=1e-4)
@@ -222,7 +222,7 @@ def grown(scene, growing, rules):
 
 def test_in_air_gravity_takes_no_part_in_the_adjustment(survey_of):
     survey = survey_of(cameras=3, points=100, noise=1.0, index_ratio=1.0)
-    sure = replace(survey, capture=replace(survey.capture, down_sigma=1e-8))
+    sure = replace(survey, capture=replace(survey.capture, down_sigma=torch.full_like(survey.capture.height, 1e-8)))
 
     with_gravity, without = reconstruct(sure), reconstruct(survey)
 

@@ -3,10 +3,10 @@
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -15,6 +15,7 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.config import Options
+from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
 from torchrefrac.figures.matches import StagePictures
@@ -30,6 +31,7 @@ from torchrefrac.sfm import (
     level_capture,
     reconstruct_sparse,
     verify_pairs,
+    with_right_gravity,
 )
 
 StageHook = Callable[[str, Any, float], None]
@@ -59,21 +61,28 @@ def reconstruct(
 
     features = stage("features", lambda: _extract(capture, options, recorder))
     matches = stage.part("matching", lambda: _match(features, options, recorder))
-    ratio = options.water.ratio_of(capture.index_ratio)
+    ratio, stated = options.water.ratio_of(capture.index_ratio), capture
     if options.model.name == "refractive" and ratio > 1.0 and not capture.has_gravity:
         given, how = capture, options.sfm
         try:
             capture = stage("levelling", lambda: level_capture(given, matches, features, ratio, how, recorder))
         except UnknownVerticalError as error:
             raise ReconstructionError(str(error)) from None
-    initializer, sfm = _initializer(capture, ratio, options, recorder)
-    pairs = stage("matching", lambda: _verify(matches, features, initializer, options, generator, recorder))
+    verify = _Verification(matches, features, ratio, options, generator, recorder)
+    levelled = capture
+    capture, initializer, sfm, pairs = stage.part("matching", lambda: verify(levelled, stated.has_gravity))
+    stage("matching", lambda: pairs)
     observations, colors = build_tracks(features, [pair.pair for pair in pairs])
     recorder.scalar("tracks/count", len(colors), 0)
     recorder.scalar("tracks/observations", len(observations), 0)
     recorder.histogram("tracks/length", torch.bincount(observations.point), 0)
     scene = Scene.of_capture(capture, observations, colors, initializer.index_ratio)
-    return stage("sparse", lambda: reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder))
+
+    def sparse() -> Scene:
+        found = reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder)
+        return replace(found, findings=contradictions(found, stated))
+
+    return stage("sparse", sparse)
 
 
 def run(
@@ -164,20 +173,43 @@ def _match(features: list[Features], options: Options, recorder: Recorder) -> li
     ]
 
 
-def _verify(
-    matches: list[PairMatches],
-    features: list[Features],
-    initializer: PoseInitializer,
-    options: Options,
-    generator: torch.Generator,
-    recorder: Recorder,
-) -> list[VerifiedPair]:
-    least = options.sfm.min_pair_inliers
-    verified = verify_pairs(matches, features, initializer, least, generator, recorder)
-    if not verified:
-        most = max(len(pair) for pair in matches)
-        raise ReconstructionError(
-            f"no pair of images has {least} matches that agree on a pose (the best pair has {most} matches before "
-            "the check); the photographs must show the same textured surface from nearby places"
-        )
-    return verified
+class _Verified(NamedTuple):
+    """The capture with gravity that can be used, the initialiser and its options, and what they verified."""
+
+    capture: Capture
+    initializer: PoseInitializer
+    sfm: SfmOptions
+    pairs: list[VerifiedPair]
+
+
+@dataclass(frozen=True)
+class _Verification:
+    """Which matches agree on a pose, of pairs of images."""
+
+    matches: list[PairMatches]
+    features: list[Features]
+    ratio: float
+    options: Options
+    generator: torch.Generator
+    recorder: Recorder
+
+    def __call__(self, capture: Capture, gravity_is_measured: bool) -> _Verified:
+        """Once more where measured gravity cannot be right, with what takes its place."""
+        found = self._with(capture)
+        if gravity_is_measured and isinstance(found.initializer, RefractiveInitializer):
+            parts = self.matches, found.pairs, self.features
+            right = with_right_gravity(capture, *parts, self.ratio, found.sfm, self.recorder)
+            found = found if right is capture else self._with(right)
+        if not found.pairs:
+            least, most = self.options.sfm.min_pair_inliers, max(len(pair) for pair in self.matches)
+            raise ReconstructionError(
+                f"no pair of images has {least} matches that agree on a pose (the best pair has {most} matches before "
+                "the check); the photographs must show the same textured surface from nearby places"
+            )
+        return found
+
+    def _with(self, capture: Capture) -> _Verified:
+        initializer, sfm = _initializer(capture, self.ratio, self.options, self.recorder)
+        least, chance = self.options.sfm.min_pair_inliers, self.generator
+        pairs = verify_pairs(self.matches, self.features, initializer, least, chance, self.recorder)
+        return _Verified(capture, initializer, sfm, pairs)

@@ -25,6 +25,7 @@ def summarize(scene: Scene) -> dict[str, Any]:
         "reprojection_median_px": float(errors.median()) if len(errors) else 0.0,
         "reprojection_rms_px": rms(errors) if len(errors) else 0.0,
         "index_ratio": scene.index_ratio,
+        "warnings": [finding.content for finding in scene.findings],
     }
     if known.index_ratio_sigma is not None:
         metrics["index_ratio_sigma"] = known.index_ratio_sigma

@@ -51,7 +51,7 @@ def load_capture(folder: str | Path) -> Capture:
         cameras=Cameras.of([intrinsics]),
         interfaces=Interfaces.level(read_index_ratio(top)),
         down_in_cam=torch.tensor(down, dtype=torch.float64),
-        down_sigma=_gravity_sigma(top) if has_gravity else math.inf,
+        down_sigma=torch.full((len(images),), _gravity_sigma(top) if has_gravity else math.inf, dtype=torch.float64),
         height=torch.tensor([height or 1.0 for height in heights], dtype=torch.float64),
         has_height=torch.tensor([height is not None for height in heights]),
         length_unit=top.text("length_unit"),

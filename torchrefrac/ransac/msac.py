@@ -111,14 +111,14 @@ def ransac(estimator: Estimator, options: RansacOptions, generator: torch.Genera
     Deterministic for a given state of `generator`. Fails with a status, not with a model: "too_few_data";
     "no_consensus", fewer than min_inliers data agree; "degenerate", they agree but do not determine it. Drawing ends
     when so many samples were drawn that with `confidence` a good enough one was among them, at the best inlier ratio
-    so far.
+    so far, or at that of the fewest inliers that are enough, if that is higher: with few data, chance ends soon.
     """
     needed = max(estimator.sample_size + 1, options.min_inliers)
     if estimator.num_data < needed:
         detail = f"there are only {estimator.num_data} data, but {needed} must agree"
         nothing = torch.zeros(estimator.num_data, dtype=torch.bool)
         return RansacReport("too_few_data", torch.zeros(0), nothing, math.inf, 0, detail)
-    search = _Search(estimator, options, generator)
+    search = _Search(estimator, options, generator, needed)
     size = options.batch_size
     while (left := min(search.wanted, options.max_samples) - search.drawn) > 0:
         search.batch(min(size, left))
@@ -129,9 +129,10 @@ def ransac(estimator: Estimator, options: RansacOptions, generator: torch.Genera
 class _Search:
     """The best model so far, what it explains, and how many samples are wanted because of it."""
 
-    def __init__(self, estimator: Estimator, options: RansacOptions, generator: torch.Generator) -> None:
+    def __init__(self, estimator: Estimator, options: RansacOptions, generator: torch.Generator, needed: int) -> None:
         self.estimator, self.options, self.generator = estimator, options, generator
-        self.drawn, self.wanted = 0, options.max_samples
+        self.least = needed / estimator.num_data
+        self.drawn, self.wanted = 0, max(self._samples_at(self.least), options.batch_size)
         self.model = torch.zeros(0)
         self.inliers = torch.zeros(estimator.num_data, dtype=torch.bool)
         self.cost = self.screened_cost = math.inf
@@ -184,11 +185,14 @@ class _Search:
     def _take(self, model: Float[Tensor, " d"], cost: float) -> None:
         self.model, self.cost = model, cost
         self.inliers = self.estimator.squared_errors(model[None], None)[0] < self.options.max_error**2
-        hits = float(self.inliers.double().mean()) ** self.estimator.sample_size / self.estimator.samples_per_hit
+        self.wanted = self._samples_at(max(float(self.inliers.double().mean()), self.least))
+
+    def _samples_at(self, ratio: float) -> int:
+        """How many samples are enough, with `confidence`, where this share of the data are inliers."""
+        hits = ratio**self.estimator.sample_size / self.estimator.samples_per_hit
         if hits >= 1.0:
-            self.wanted = 0
-        elif hits > 0.0:
-            self.wanted = math.ceil(math.log(1.0 - self.options.confidence) / math.log1p(-hits))
+            return 0
+        return min(math.ceil(math.log(1.0 - self.options.confidence) / math.log1p(-hits)), self.options.max_samples)
 
 
 def draw_samples(count: int, num_data: int, size: int, generator: torch.Generator) -> Int[Tensor, "{count} {size}"]:

@@ -20,6 +20,7 @@ from torchrefrac.refinement import OneView, TwoViews
 
 LAST_ITERATIONS = 6
 LEAST_LIMIT = 0.05
+LEAST_SHARE = 0.9  # of the inliers of its start, below which a refinement has left their consensus
 TILT_PX = 20.0
 
 Stages = Sequence[tuple[float, int]]
@@ -80,10 +81,14 @@ class PoseEstimator(Generic[D]):
         self, models: Float[Tensor, "k d"], max_error: float, rows: Int[Tensor, " n"] | None, thorough: bool
     ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
         data = self.data if rows is None else self.data.rows(rows)
+        start, limit_sq = models, max_error * max_error
         models = refine_in_stages(data, models, max_error, self.thorough if thorough else self.quick)
+        errors = data.squared_errors(models)
         if thorough:
-            limit = tightened(data.squared_errors(models), max_error)
-            models = data.refine(models, limit, LAST_ITERATIONS).states
+            models = data.refine(models, tightened(errors, max_error), LAST_ITERATIONS).states
+            errors = data.squared_errors(models)
+        before, after = ((e < limit_sq).sum(dim=-1) for e in (data.squared_errors(start), errors))
+        models = torch.where((after < LEAST_SHARE * before)[:, None], start, models)
         return models, data.costs(models, max_error)
 
 

@@ -70,7 +70,13 @@ def reconstruction_lines(metrics: Mapping[str, Any]) -> list[str]:
     if "index_ratio_sigma" in metrics:
         lines.append(f"index ratio {metrics['index_ratio']:.4f} +- {metrics['index_ratio_sigma']:.2g}")
     lines += [f"not refined: {sentence}" for sentence in metrics.get("held", {}).values()]
-    return lines + _against_truth(metrics) + (dense_lines(metrics) if "dense_points" in metrics else [])
+    lines += _against_truth(metrics) + (dense_lines(metrics) if "dense_points" in metrics else [])
+    return lines + warning_lines(metrics)
+
+
+def warning_lines(metrics: Mapping[str, Any]) -> list[str]:
+    """What the images say against what was stated."""
+    return [f"warning ({warning['code']}): {warning['message']}" for warning in metrics.get("warnings", [])]
 
 
 def dense_lines(metrics: Mapping[str, Any]) -> list[str]:

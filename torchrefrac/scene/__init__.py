@@ -2,6 +2,7 @@
 
 from torchrefrac.scene.capture import Capture, CaptureError
 from torchrefrac.scene.dense import DenseCloud, DepthMap
+from torchrefrac.scene.findings import Finding, WarningCode
 from torchrefrac.scene.interfaces import Interfaces
 from torchrefrac.scene.raster import Raster
 from torchrefrac.scene.scene import Assessment, Part, Scene, SceneError, mean_deviation, reprojection_errors
@@ -10,7 +11,7 @@ from torchrefrac.scene.tables import Cameras, Observations, Views
 from torchrefrac.scene.truth import Truth, TruthPoints
 
 __all__ = [
-    "Assessment", "Cameras", "Capture", "CaptureError", "DenseCloud", "DepthMap", "Interfaces", "Observations", "Part",
-    "Raster", "Scene", "SceneError", "Survey", "SurveyError", "Truth", "TruthPoints", "Views", "mean_deviation",
-    "reprojection_errors",
+    "Assessment", "Cameras", "Capture", "CaptureError", "DenseCloud", "DepthMap", "Finding", "Interfaces",
+    "Observations", "Part", "Raster", "Scene", "SceneError", "Survey", "SurveyError", "Truth", "TruthPoints", "Views",
+    "WarningCode", "mean_deviation", "reprojection_errors",
 ]  # fmt: skip

@@ -23,12 +23,12 @@ class CaptureError(TorchrefracError, ValueError):
 class Capture:
     """Photographs by names and paths, each with its camera, its interface and gravity where that is known.
 
-    camera and interface: rows of the tables, by default the first. down_in_cam: unit vectors with an expected error of
-    down_sigma radians, which mean nothing unless has_gravity (they are the optical axes then, and down_sigma is
-    infinite); height above the water in length_unit where has_height says that it was measured. heading: compass
-    heading of the image's top after levelling, radians clockwise from north (world +y), with an error of degrees; it
-    means nothing unless has_heading, and reports alone look at it. folder: where the capture was read from; truth, if
-    any, lies beside it.
+    camera and interface: rows of the tables, by default the first. down_in_cam: unit vectors with expected errors of
+    down_sigma radians (infinite: not known), which mean nothing unless has_gravity (they are the optical axes then);
+    height above the water in length_unit where has_height says that it was measured. heading: compass heading of the
+    image's top after levelling, radians clockwise from north (world +y), with an error of degrees; it means nothing
+    unless has_heading, and reports alone look at it. folder: where the capture was read from; truth, if any, lies
+    beside it.
     """
 
     folder: Path
@@ -37,7 +37,7 @@ class Capture:
     cameras: Cameras
     interfaces: Interfaces
     down_in_cam: Float[Tensor, "m 3"]
-    down_sigma: float
+    down_sigma: Float[Tensor, " m"]
     height: Float[Tensor, " m"]
     has_height: Bool[Tensor, " m"]
     length_unit: str
@@ -74,7 +74,13 @@ class Capture:
         """Whether gravity was measured, and how well it is known in degrees, as metrics of a run."""
         if not self.has_gravity:
             return {"gravity": "unknown"}
-        return {"gravity": "measured", "gravity_sigma_deg": round(math.degrees(self.down_sigma), 3)}
+        return {"gravity": "measured", "gravity_sigma_deg": round(math.degrees(self.typical_down_sigma), 3)}
+
+    @property
+    def typical_down_sigma(self) -> float:
+        """Root mean square of the expected errors of gravity that are known, radians; infinite where none is."""
+        known = self.down_sigma[self.down_sigma.isfinite()]
+        return float(known.square().mean().sqrt()) if len(known) else math.inf
 
     def of_views(self, rows: Sequence[int]) -> "Capture":
         """Some of the photographs, by their numbers, in this order."""
@@ -86,5 +92,5 @@ class Capture:
         )
 
 
-PER_VIEW = ("down_in_cam", "height", "has_height", "heading", "camera", "interface")
+PER_VIEW = ("down_in_cam", "down_sigma", "height", "has_height", "heading", "camera", "interface")
 """The fields of a capture that have a row for each photograph."""

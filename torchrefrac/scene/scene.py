@@ -12,6 +12,7 @@ from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.geometry import Rigid
 from torchrefrac.scene.capture import Capture
+from torchrefrac.scene.findings import Finding
 from torchrefrac.scene.interfaces import Interfaces
 from torchrefrac.scene.tables import Cameras, Observations, Views
 
@@ -28,7 +29,8 @@ class Assessment:
     center_sigma of registered views: of a coordinate, in length_unit, relative to the cameras as a whole;
     center_covariance: of the centres in world axes, length_unit squared. index_ratio_sigma: None where it was given.
     determined: sentences about water, intrinsics and scale; fixed: what was to be refined, but is not determined, and
-    why.
+    why. wished: by how much "index_ratio" and the logarithm of the "focal" length, which were given, would change if
+    the images had a say, and the standard deviations of these changes.
     """
 
     pixel_sigma: float | None = None
@@ -38,6 +40,7 @@ class Assessment:
     index_ratio_sigma: float | None = None
     determined: tuple[str, ...] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)
+    wished: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +49,8 @@ class Scene:
 
     World: z up, the (first) interface at z = 0 unless a file says otherwise; lengths in length_unit. Points have a
     position where `placed`, and colours (RGB). Observations ascend by point; `accepted` are those that support a placed
-    point in a registered view. failures: why a view is not registered, by name. capture: the photographs of the views,
-    in their order, where they are at hand.
+    point in a registered view. failures: why a view is not registered, by name. findings: what the images say against
+    what was stated. capture: the photographs of the views, in their order, where they are at hand.
 
     Raises SceneError where shapes do not fit together, an index is out of range or observations do not ascend.
     """
@@ -63,6 +66,7 @@ class Scene:
     length_unit: str = "unit"
     failures: Mapping[str, str] = field(default_factory=dict)
     assessment: Assessment = field(default_factory=Assessment)
+    findings: tuple[Finding, ...] = ()
     capture: Capture | None = None
 
     @classmethod

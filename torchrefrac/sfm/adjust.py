@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from torchrefrac.bundle import BundleProblem, determinations, uncertainty
+from torchrefrac.bundle import BundleProblem, determinations, uncertainty, wished_change
 from torchrefrac.bundle import adjust as adjust_bundle
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.optim import SingularError
@@ -15,6 +15,8 @@ from torchrefrac.recorder import Advance, Recorder
 from torchrefrac.scene import Assessment, Scene, mean_deviation
 from torchrefrac.sfm.outcome import Adjustment, Outcome
 from torchrefrac.sfm.rules import Rules
+
+GIVEN = ("index_ratio", "focal")
 
 OnStep = Callable[[int, float, float], None]
 
@@ -97,6 +99,7 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str], num_poin
     except SingularError:
         return Assessment(fixed=fixed)
     centers = known.pose[:, 3:, 3:]
+    wished = ((name, wished_change(problem, scene, name, known.pixel_sigma)) for name in GIVEN)
     return Assessment(
         pixel_sigma=known.pixel_sigma,
         point_sigma=known.point_sigma[:num_points],
@@ -105,4 +108,5 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str], num_poin
         index_ratio_sigma=float(known.index_ratio) if "index_ratio" in problem.layout.water else None,
         determined=tuple(d.sentence for d in found),
         fixed=fixed,
+        wished={name: change for name, change in wished if change is not None} if found else {},
     )

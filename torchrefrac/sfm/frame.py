@@ -8,14 +8,15 @@ from torch import Tensor
 
 from torchrefrac.geometry import Similarity, heading_rotation, level_rotation, split_heading
 from torchrefrac.scene import Capture, Scene
+from torchrefrac.sfm.heights import fit_heights
 
 
 def fix_frame(scene: Scene, capture: Capture) -> Scene:
     """Put the first registered view at x = y = 0 with heading 0, and scale to the measured heights.
 
-    Through water the scale is the least-squares one of the measured camera heights (or makes the first height 1); plane
-    and vertical stay. Without refraction neither can be seen: the frame is levelled by the mean of the gravity
-    vectors, the first camera put at its height (or 1), and the scale left as it is.
+    Through water the scale is that of the measured camera heights which agree, see `fit_heights` (or makes the first
+    height 1); plane and vertical stay. Without refraction neither can be seen: the frame is levelled by the mean of the
+    gravity vectors, the first camera put at its height (or 1), and the scale left as it is.
     """
     views = scene.views
     registered = views.registered.nonzero()[:, 0]
@@ -31,7 +32,7 @@ def fix_frame(scene: Scene, capture: Capture) -> Scene:
     scale, lift = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
     if refractive:
         found, wanted = center[measured, 2], capture.height[registered][measured]
-        scale = (found * wanted).sum() / (found * found).sum() if bool(measured.any()) else 1.0 / center[0, 2]
+        scale = fit_heights(found, wanted).scale if bool(measured.any()) else 1.0 / center[0, 2]
     else:
         lift = torch.where(measured[0], capture.height[first], 1.0) - center[0, 2]
     shift = torch.stack((-center[0, 0], -center[0, 1], lift))

@@ -13,6 +13,7 @@ from torchrefrac.scene import Capture, Part, Scene
 from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess_scene
 from torchrefrac.sfm.filter_points import affordable_length, filter_points
 from torchrefrac.sfm.frame import fix_frame
+from torchrefrac.sfm.gravity import contradicted_gravity
 from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.pose import PoseInitializer
 from torchrefrac.sfm.register import MIN_INITIAL_POINTS, rank_initial_pairs, register, start, visible_points
@@ -47,9 +48,9 @@ def reconstruct_sparse(
         """A prior where there is refraction to see the plane by."""
         if scene.index_ratio <= 1.0:
             return ()
-        return (GravityPrior(capture.down_in_cam[part.view], capture.down_sigma),)
+        return (GravityPrior(capture.down_in_cam[part.view], growth.down_sigma[part.view]),)
 
-    growth = _Growth(options, options.rules(initializer, gravity, generator), recorder)
+    growth = _Growth(capture, options, options.rules(initializer, gravity, generator), recorder)
     scene = growth.start(scene, pairs)
     remaining = len(capture) - scene.views.num_registered
     for grown in recorder.track(growth.register_all(scene), remaining, "registering", "image"):
@@ -66,8 +67,9 @@ def reconstruct_sparse(
 class _Growth:
     """The order of the steps of one reconstruction, and what they share."""
 
-    def __init__(self, options: SfmOptions, rules: Rules, recorder: Recorder) -> None:
-        self.options, self.rules, self.recorder = options, rules, recorder
+    def __init__(self, capture: Capture, options: SfmOptions, rules: Rules, recorder: Recorder) -> None:
+        self.capture, self.options, self.rules, self.recorder = capture, options, rules, recorder
+        self.down_sigma = capture.down_sigma  # infinite where gravity turns out to be wrong
         self.failures: dict[str, str] = {}
         self.fixed: dict[str, str] = {}
         self._refused: dict[int, int] = {}  # views that could not be registered, and the points they saw then
@@ -137,7 +139,24 @@ class _Growth:
                 scene, outcome = adjust(scene, rules, steps)
                 steps.end()
                 self._record(scene, outcome)
-        return self._filter(scene, rules)
+            scene = self._filter(scene, rules)
+        return self._without_wrong_gravity(scene, rules)
+
+    def _without_wrong_gravity(self, scene: Scene, rules: Rules) -> Scene:
+        """Adjusted again without the gravity of views that the others contradict, for as long as there are such; of
+        none if most are contradicted."""
+        for _ in range(self.options.final_rounds if scene.index_ratio > 1.0 else 0):
+            wrong = contradicted_gravity(scene, self.capture.down_in_cam, self.down_sigma)
+            if not bool(wrong.any()):
+                break
+            unknown = wrong | self.down_sigma.isinf()
+            most = 2 * int((unknown & scene.views.registered).sum()) > scene.views.num_registered
+            self.down_sigma = torch.where(unknown | most, torch.inf, self.down_sigma)
+            for _ in range(self.options.final_rounds):
+                scene, outcome = adjust(scene, rules, self.journal.step)
+                self._record(scene, outcome)
+                scene = self._filter(triangulate(scene, rules)[0], rules)
+        return scene
 
     def _filter(self, scene: Scene, rules: Rules) -> Scene:
         """Drop points that do not fit, and views that are left with next to none."""

@@ -1,6 +1,6 @@
 """Poses through the water with measured verticals (paper, section 3.4)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -29,10 +29,11 @@ class RefractiveInitializer:
             cam_from_level=level_rotation(self.capture.down_in_cam[list(images)]),
             focal=intrinsics.focal,
             index_ratio=self._ratio,
-            gravity_sigma=self.capture.down_sigma,
+            gravity_sigma=float(self.capture.down_sigma[list(images)].max()),
             pixel_sigma=self.options.bundle.pixel_sigma,
         )
-        report = ransac(RelativePoseEstimator(views), self.options.ransac, generator)
+        least = max(self.options.min_pair_inliers, self.options.ransac.min_inliers)
+        report = ransac(RelativePoseEstimator(views), replace(self.options.ransac, min_inliers=least), generator)
         if report.status == "degenerate":
             return PairPose(None, None, report.inliers, 0.0)
         if report.status != "success":
@@ -50,7 +51,7 @@ class RefractiveInitializer:
             cam_from_level=level_rotation(self.capture.down_in_cam[image]),
             focal=intrinsics.focal,
             index_ratio=self._ratio,
-            gravity_sigma=self.capture.down_sigma,
+            gravity_sigma=float(self.capture.down_sigma[image]),
             pixel_sigma=self.options.bundle.pixel_sigma,
         )
         report = ransac(AbsolutePoseEstimator(view), self.options.ransac, generator)

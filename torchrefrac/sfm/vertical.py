@@ -44,13 +44,15 @@ def level_capture(
     options: SfmOptions,
     recorder: Recorder,
 ) -> Capture:
-    """The capture with estimated verticals. down_sigma: the root mean square over the images, the scatter between the
-    pairs of one image, or LEAST_DOWN_SIGMA, whichever is largest.
+    """The capture with estimated verticals. down_sigma, the same for all images: the root mean square over the images,
+    the scatter between the pairs of one image, or LEAST_DOWN_SIGMA, whichever is largest.
 
     Raises UnknownVerticalError when no pair shows a vertical.
     """
     usable = sorted((pair for pair in pairs if len(pair) >= options.min_pair_inliers), key=len, reverse=True)
-    of, verticals, sigmas, detail = _from_pairs(capture, best_pairs(usable), features, index_ratio, options, recorder)
+    of, verticals, sigmas, detail = verticals_of_pairs(
+        capture, best_pairs(usable), features, index_ratio, options, recorder
+    )
     if not len(of):
         raise UnknownVerticalError(
             f"capture.json has no down_in_cam, and which way is down in the images cannot be seen: {detail}; "
@@ -60,12 +62,13 @@ def level_capture(
     scatter = torch.zeros(len(capture), dtype=torch.float64)
     for image in of.unique().tolist():
         down[image], sigma[image], scatter[image] = mean_vertical(verticals[of == image], sigmas[of == image])
-    _carry_over(capture, usable, features, options, down, sigma)
+    carry_over(capture, usable, features, options, down, sigma)
     for image in sigma.isinf().nonzero()[:, 0].tolist():
         recorder.note(f"{capture.names[image]}: no pair relates it to the others, so that its vertical stays unknown")
     known = sigma.isfinite()
     overall = torch.maximum(_rms(sigma[known]), _rms(scatter[of.unique()]))
-    return replace(capture, down_in_cam=down, down_sigma=max(float(overall), LEAST_DOWN_SIGMA), has_gravity=True)
+    sigma = torch.full_like(sigma, max(float(overall), LEAST_DOWN_SIGMA))
+    return replace(capture, down_in_cam=down, down_sigma=sigma, has_gravity=True)
 
 
 def best_pairs(pairs: Sequence[PairMatches]) -> list[PairMatches]:
@@ -79,7 +82,7 @@ def best_pairs(pairs: Sequence[PairMatches]) -> list[PairMatches]:
     return chosen
 
 
-def _from_pairs(
+def verticals_of_pairs(
     capture: Capture,
     pairs: Sequence[PairMatches],
     features: Sequence[Features],
@@ -93,7 +96,7 @@ def _from_pairs(
     detail = "" if pairs else f"no pair of images has {options.min_pair_inliers} matches"
     for step, pair in enumerate(recorder.track(pairs, len(pairs), "levelling", "pair")):
         limits = options.ransac.max_error, options.min_pair_inliers
-        planes = _planes(capture, features, pair)
+        planes = image_planes(capture, features, pair)
         found = find_verticals(*planes, capture.intrinsics.focal, index_ratio, *limits)
         recorder.scalar("levelling/inliers", int(found.inliers.sum()), step)
         if found.status == "success":
@@ -114,17 +117,17 @@ def mean_vertical(
     Where no majority agrees the most certain one is taken, as uncertain as a pinhole leaves it.
     """
     variance = sigma.square() + LEAST_SIGMA**2
-    apart = _angle(down[:, None], down).square() / (variance[:, None] + variance)
+    apart = angle_between(down[:, None], down).square() / (variance[:, None] + variance)
     central = (apart.clamp(max=FAR).sum(dim=-1) + 0.1 * variance / variance.amax()).argmin()
     weight = torch.where(apart[central] < FAR, 1.0 / variance, 0.0)
     agreeing, total = int((weight > 0.0).sum()), weight.sum()
     mean = torch.nn.functional.normalize((weight[:, None] * down).sum(dim=0), dim=0)
-    spread = (weight * _angle(down, mean).square()).sum() / total * (agreeing / max(agreeing - 1, 1))
+    spread = (weight * angle_between(down, mean).square()).sum() / total * (agreeing / max(agreeing - 1, 1))
     alone = 2 * agreeing <= len(down)
     return mean, torch.where(torch.tensor(alone), PINHOLE_SIGMA, total.rsqrt()), spread.sqrt()
 
 
-def _carry_over(
+def carry_over(
     capture: Capture,
     pairs: Sequence[PairMatches],
     features: Sequence[Features],
@@ -138,7 +141,7 @@ def _carry_over(
     while bridges := [pair for pair in left if sigma[[pair.first, pair.second]].isinf().sum() == 1]:
         pair = bridges[0]
         left.remove(pair)
-        found = pinhole_rotation(*_planes(capture, features, pair), threshold)
+        found = pinhole_rotation(*image_planes(capture, features, pair), threshold)
         if found is None or int(found[1].sum()) < options.min_pair_inliers:
             continue
         known, other, turn = pair.first, pair.second, found[0]
@@ -148,7 +151,7 @@ def _carry_over(
         sigma[other] = torch.hypot(sigma[known], torch.as_tensor(PINHOLE_SIGMA, dtype=sigma.dtype))
 
 
-def _planes(
+def image_planes(
     capture: Capture, features: Sequence[Features], pair: PairMatches
 ) -> tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]]:
     """Ideal image coordinates of the matches in both images."""
@@ -156,7 +159,7 @@ def _planes(
     return capture.intrinsics.plane_from_pixels(one), capture.intrinsics.plane_from_pixels(two)
 
 
-def _angle(one: Float[Tensor, "*#batch 3"], two: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch"]:
+def angle_between(one: Float[Tensor, "*#batch 3"], two: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch"]:
     """Angle between unit vectors."""
     one, two = torch.broadcast_tensors(one, two)
     return torch.atan2(torch.linalg.cross(one, two).norm(dim=-1), (one * two).sum(dim=-1))

@@ -1,0 +1,66 @@
+"""Warnings about a finished scene, from what went in."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from torchrefrac.evaluate.consistency import contradictions
+from torchrefrac.scene import Assessment
+
+
+@pytest.fixture
+def survey(survey_of):
+    return survey_of(cameras=6, points=120, index_ratio=1.33, noise=0.1)
+
+
+def _codes(scene, capture):
+    return [str(finding.code) for finding in contradictions(scene, capture)]
+
+
+def _all_measured(capture, heights):
+    return replace(capture, height=heights, has_height=torch.ones_like(capture.has_height))
+
+
+def test_a_scene_that_is_as_stated_has_no_warnings(survey):
+    scene = survey.scene(with_points=True)
+    assert _codes(scene, _all_measured(survey.capture, survey.capture.height)) == []
+
+
+def test_a_height_that_does_not_fit_is_named(survey):
+    heights = survey.capture.height.clone()
+    heights[1] *= 10.0
+    (found,) = contradictions(survey.scene(with_points=True), _all_measured(survey.capture, heights))
+    assert (found.code, found.images) == ("height_contradicts", ("1.jpg",))
+    assert f"{float(heights[1]):.4g} cm stated" in found.message
+
+
+def test_heights_from_another_level_are_recognised(survey):
+    heights = survey.capture.height + 40.0
+    (found,) = contradictions(survey.scene(with_points=True), _all_measured(survey.capture, heights))
+    assert (found.code, found.images) == ("height_contradicts", ())
+    assert "all heights are too large by 40 cm" in found.message
+
+
+def test_a_view_with_few_large_errors_is_named(survey):
+    scene = survey.scene(with_points=True)
+    of_last = scene.observations.view == 5
+    pixels = torch.where(of_last[:, None], scene.observations.pixels + 3.0, scene.observations.pixels)
+    few = ~of_last | (scene.observations.point < 30)
+    scene = replace(scene, observations=replace(scene.observations, pixels=pixels), accepted=few)
+    (found,) = contradictions(scene, survey.capture)
+    assert (found.code, found.images) == ("weak_image", ("5.jpg",))
+
+
+@pytest.mark.parametrize(
+    ("wished", "codes"),
+    [
+        ({"index_ratio": (-0.04, 0.002), "focal": (0.001, 0.001)}, ["index_contradicts"]),
+        ({"index_ratio": (-0.4, 0.01)}, ["no_refraction_seen"]),
+        ({"focal": (0.3, 0.01)}, ["intrinsics_contradict"]),
+        ({"index_ratio": (0.04, 0.02), "focal": (0.01, 0.001)}, []),
+    ],
+)
+def test_what_the_images_wish_of_water_and_lens(survey, wished, codes):
+    scene = replace(survey.scene(with_points=True), assessment=Assessment(wished=wished))
+    assert _codes(scene, survey.capture) == codes

@@ -1,0 +1,135 @@
+"""What the images say against what was stated about them: the warnings of a reconstruction.
+
+Every finding is about the finished scene, whatever the reconstruction made of what was stated. Limits are such that a
+right statement is called wrong once in some hundred scenes.
+"""
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from torchrefrac.scene import Capture, Finding, Scene, WarningCode
+from torchrefrac.sfm.gravity import unlikely
+from torchrefrac.sfm.heights import fit_heights
+from torchrefrac.sfm.vertical import angle_between
+
+FEW, WORSE = 0.5, 4.0
+"""Share of the observations of the typical view, and times its error: a view with fewer, larger ones is weak."""
+SURE = 5.0
+"""Standard deviations of a wished change, which noise that is correlated makes look too small."""
+NOTABLE_INDEX, NOTABLE_FOCAL = 0.01, 0.02
+AIR = 1.02
+"""An index ratio below which there is no water."""
+
+
+def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
+    """All of them. `scene`: what came out, with its assessment; `stated`: what went in, the same views in the same
+    order."""
+    if scene.index_ratio <= 1.0:
+        return tuple(_weak_images(scene))
+    return (*_gravity(scene, stated), *_heights(scene, stated), *_weak_images(scene), *_given(scene))
+
+
+def _gravity(scene: Scene, stated: Capture) -> list[Finding]:
+    if not stated.has_gravity:
+        return []
+    registered = scene.views.registered
+    angle = angle_between(-scene.views.rotation[:, :, 2], stated.down_in_cam)
+    wrong = registered & (angle > unlikely(int(registered.sum())) * stated.down_sigma)
+    names = _names(scene, wrong)
+    if not names:
+        return []
+    degrees = torch.rad2deg(angle)[wrong]
+    off = f"{float(degrees.median()):.1f} degrees (median)" if len(names) > 1 else f"{float(degrees[0]):.1f} degrees"
+    known = float(torch.rad2deg(stated.down_sigma)[wrong].median())
+    message = (
+        f"down_in_cam of {_listed(names)} is {off} from the vertical that the images show, but is stated to be known "
+        f"to {known:.2g} degrees; it was not used: check its signs and axes (x right, y down, z forward)"
+    )
+    return [Finding(WarningCode.GRAVITY_CONTRADICTS, message, names)]
+
+
+def _heights(scene: Scene, stated: Capture) -> list[Finding]:
+    measured = scene.views.registered & stated.has_height
+    if int(measured.sum()) < 2:
+        return []
+    found, heights, unit = scene.views.center[measured, 2], stated.height[measured], scene.length_unit
+    fit = fit_heights(found, heights)
+    if float(fit.offset) != 0.0:
+        message = (
+            f"all heights are too {'large' if float(fit.offset) > 0.0 else 'small'} by {abs(float(fit.offset)):.3g} "
+            f"{unit}, as if they were not counted from the water; the scale was taken from their differences"
+        )
+        return [Finding(WarningCode.HEIGHT_CONTRADICTS, message)]
+    wrong = measured.clone()
+    wrong[measured] = ~fit.agrees
+    names = _names(scene, wrong)
+    if not names:
+        return []
+    told = zip(names, stated.height[wrong].tolist(), scene.views.center[wrong, 2].tolist(), strict=True)
+    shown = ", ".join(
+        f"{name}: {there:.4g} {unit} stated, {here:.4g} {unit} found" for name, there, here in [*told][:3]
+    )
+    message = (
+        f"the height of {_listed(names)} does not fit those of the others ({shown}); it was not used for the scale"
+    )
+    return [Finding(WarningCode.HEIGHT_CONTRADICTS, message, names)]
+
+
+def _weak_images(scene: Scene) -> list[Finding]:
+    support, registered = scene.support(), scene.views.registered
+    rows = scene.accepted
+    errors, view = scene.errors()[rows], scene.observations.view[rows]
+    found = registered.nonzero()[:, 0].tolist()
+    if len(found) < 3 or not len(errors):
+        return []
+    typical = torch.full((len(registered),), torch.nan, dtype=errors.dtype)
+    for i in found:
+        if bool((view == i).any()):
+            typical[i] = errors[view == i].median()
+    usual, count = typical[registered].nanmedian(), support[registered].double().median()
+    weak = registered & (typical > WORSE * usual) & (support < FEW * count)
+    return [
+        Finding(
+            WarningCode.WEAK_IMAGE,
+            f"{scene.views.names[i]} agrees worse than the others: {int(support[i])} observations with an error of "
+            f"{float(typical[i]):.2g} px (median), the others {int(count)} with {float(usual):.2g} px",
+            (scene.views.names[i],),
+        )
+        for i in weak.nonzero()[:, 0].tolist()
+    ]
+
+
+def _given(scene: Scene) -> list[Finding]:
+    """What was given of water and lens."""
+    wished, found = scene.assessment.wished, []
+    step, sigma = wished.get("index_ratio", (0.0, 1.0))
+    if abs(step) > max(SURE * sigma, NOTABLE_INDEX):
+        seen = max(scene.index_ratio + step, 1.0)
+        if seen < AIR:
+            message = f"the images show no refraction, but an index ratio of {scene.index_ratio:.4g} is stated"
+            found.append(Finding(WarningCode.NO_REFRACTION_SEEN, message))
+        else:
+            message = (
+                f"the images agree best with an index ratio near {seen:.3f} (+- {sigma:.2g}), but "
+                f"{scene.index_ratio:.4g} is stated; refine it, or check intrinsics and gravity"
+            )
+            found.append(Finding(WarningCode.INDEX_CONTRADICTS, message))
+    step, sigma = wished.get("focal", (0.0, 1.0))
+    if abs(step) > max(SURE * sigma, NOTABLE_FOCAL):
+        message = (
+            f"the images agree best with focal lengths that are {100.0 * abs(step):.1f} % "
+            f"{'longer' if step > 0.0 else 'shorter'} (+- {100.0 * sigma:.2g} %) than stated; calibrate the camera in "
+            "air, or refine them"
+        )
+        found.append(Finding(WarningCode.INTRINSICS_CONTRADICT, message))
+    return found
+
+
+def _names(scene: Scene, which: Bool[Tensor, " m"]) -> tuple[str, ...]:
+    return tuple(scene.views.names[i] for i in which.nonzero()[:, 0].tolist())
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    """All of a few names, or the first ones and how many more."""
+    return ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} and {len(names) - 3} more images"

@@ -1,0 +1,30 @@
+"""What the images say against something that was stated: warnings that programs and people can read."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+
+class WarningCode(StrEnum):
+    """What was found, as the `code` of a warning in metrics.json."""
+
+    GRAVITY_CONTRADICTS = "gravity_contradicts"
+    HEIGHT_CONTRADICTS = "height_contradicts"
+    WEAK_IMAGE = "weak_image"
+    INTRINSICS_CONTRADICT = "intrinsics_contradict"
+    INDEX_CONTRADICTS = "index_contradicts"
+    NO_REFRACTION_SEEN = "no_refraction_seen"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A sentence about what was found, and the images that it is about: none where it is about all."""
+
+    code: WarningCode
+    message: str
+    images: tuple[str, ...] = ()
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """As it stands in metrics.json."""
+        return {"code": str(self.code), "message": self.message, "images": list(self.images)}

@@ -1,0 +1,114 @@
+"""Whether the gravity that was stated is that which the images show, and what takes its place where it is not.
+
+Before anything is placed: through water, wrong verticals leave fewer matches that agree on a refractive pose than on a
+pinhole one, which is wrong everywhere. Images most of whose pairs are like that get the vertical that refraction shows
+in their best pairs (see `vertical`). What is wrong by less shows when all views are adjusted together.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchrefrac.features import Features, PairMatches
+from torchrefrac.recorder import Recorder
+from torchrefrac.scene import Capture, Scene
+from torchrefrac.sfm.rules import SfmOptions
+from torchrefrac.sfm.unknown_vertical import pinhole_rotation
+from torchrefrac.sfm.verification import VerifiedPair
+from torchrefrac.sfm.vertical import (
+    LEAST_DOWN_SIGMA,
+    UnknownVerticalError,
+    angle_between,
+    best_pairs,
+    carry_over,
+    image_planes,
+    level_capture,
+    mean_vertical,
+    verticals_of_pairs,
+)
+
+FEW_AGREE = 0.8
+"""Share of the matches, and of those that a pinhole explains, below which a refractive pose is suspected."""
+CHANCE = 0.0027
+"""With which any of several right measurements is called wrong: that of three standard deviations."""
+
+
+def unlikely(count: int) -> float:
+    """Angle between true and measured gravity, in standard deviations of a component, that the largest of `count`
+    right ones exceeds with the probability CHANCE."""
+    return math.sqrt(2.0 * math.log(max(count, 1) / CHANCE))
+
+
+def contradicted_gravity(
+    scene: Scene, down_in_cam: Float[Tensor, "m 3"], down_sigma: Float[Tensor, " m"]
+) -> Bool[Tensor, " m"]:
+    """Registered views whose vertical is farther from `down_in_cam` than errors of down_sigma (radians; infinite: not
+    known) explain. Where several are, those that are off by less than half of the largest may only be pulled along."""
+    known = scene.views.registered & down_sigma.isfinite()
+    off = angle_between(-scene.views.rotation[:, :, 2], down_in_cam) / down_sigma
+    off = torch.where(known, off, 0.0)
+    return (off > unlikely(int(known.sum()))) & (off > 0.5 * off.max())
+
+
+def with_right_gravity(
+    capture: Capture,
+    matches: Sequence[PairMatches],
+    verified: Sequence[VerifiedPair],
+    features: Sequence[Features],
+    index_ratio: float,
+    options: SfmOptions,
+    recorder: Recorder,
+) -> Capture:
+    """The capture with verticals from refraction for the images whose own cannot be right; itself where all can.
+
+    An image whose vertical no pair shows gets that of an image beside it, good to some degrees. Where most images are
+    suspect, all get new verticals.
+    """
+    suspects = suspect_images(capture, matches, verified, features, options)
+    if not suspects:
+        return capture
+    if 2 * len(suspects) > len(capture):
+        try:
+            return level_capture(capture, matches, features, index_ratio, options, recorder)
+        except UnknownVerticalError:
+            return capture  # nothing better is known
+    usable = sorted((pair for pair in matches if len(pair) >= options.min_pair_inliers), key=len, reverse=True)
+    concerned = best_pairs([pair for pair in usable if suspects & {pair.first, pair.second}])
+    of, verticals, sigmas, _ = verticals_of_pairs(capture, concerned, features, index_ratio, options, recorder)
+    down, sigma = capture.down_in_cam.clone(), capture.down_sigma.clone()
+    for image in suspects:
+        sigma[image] = torch.inf
+        if bool((of == image).any()):
+            down[image], found, _ = mean_vertical(verticals[of == image], sigmas[of == image])
+            sigma[image] = found.clamp(min=LEAST_DOWN_SIGMA)
+    carry_over(capture, usable, features, options, down, sigma)
+    return replace(capture, down_in_cam=down, down_sigma=sigma)
+
+
+def suspect_images(
+    capture: Capture,
+    matches: Sequence[PairMatches],
+    verified: Sequence[VerifiedPair],
+    features: Sequence[Features],
+    options: SfmOptions,
+) -> set[int]:
+    """Images most of whose pairs have matches that agree on a pinhole pose, but not on one through the water."""
+    agreeing = {(pair.pair.first, pair.pair.second): len(pair.pair) for pair in verified}
+    pairs, doubtful = Counter[int](), Counter[int]()
+    threshold = options.ransac.max_error / float(capture.intrinsics.focal.mean())
+    for pair in matches:
+        if len(pair) < options.min_pair_inliers:
+            continue
+        pairs.update((pair.first, pair.second))
+        count = agreeing.get((pair.first, pair.second), 0)
+        if count >= FEW_AGREE * len(pair):
+            continue
+        found = pinhole_rotation(*image_planes(capture, features, pair), threshold)
+        if found is not None and count < FEW_AGREE * int(found[1].sum()):
+            doubtful.update((pair.first, pair.second))
+    return {image for image, count in doubtful.items() if 2 * count > pairs[image]}
