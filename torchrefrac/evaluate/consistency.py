@@ -23,11 +23,11 @@ AIR = 1.02
 
 
 def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
-    """All of them. `scene`: what came out, with its assessment; `stated`: what went in, the same views in the same
+    """All of them, those first that others may follow from. `scene`: what came out, with its assessment; `stated`: what went in, the same views in the same
     order."""
     if scene.index_ratio <= 1.0:
         return tuple(_weak_images(scene))
-    return (*_gravity(scene, stated), *_heights(scene, stated), *_weak_images(scene), *_given(scene))
+    return (*_given(scene), *_gravity(scene, stated), *_heights(scene, stated), *_weak_images(scene))
 
 
 def _gravity(scene: Scene, stated: Capture) -> list[Finding]:

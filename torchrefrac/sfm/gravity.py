@@ -66,28 +66,49 @@ def with_right_gravity(
 ) -> Capture:
     """The capture with verticals from refraction for the images whose own cannot be right; itself where all can.
 
-    An image whose vertical no pair shows gets that of an image beside it, good to some degrees. Where most images are
-    suspect, all get new verticals.
+    Images that were not suspected, but whose verticals those pairs contradict, become suspects too: wrong verticals can
+    agree among themselves. An image whose vertical no pair shows gets that of an image beside it, good to some degrees.
+    Where most images are suspect, all get new verticals.
     """
     suspects = suspect_images(capture, matches, verified, features, options)
-    if not suspects:
-        return capture
-    if 2 * len(suspects) > len(capture):
-        try:
-            return level_capture(capture, matches, features, index_ratio, options, recorder)
-        except UnknownVerticalError:
-            return capture  # nothing better is known
     usable = sorted((pair for pair in matches if len(pair) >= options.min_pair_inliers), key=len, reverse=True)
-    concerned = best_pairs([pair for pair in usable if suspects & {pair.first, pair.second}])
-    of, verticals, sigmas, _ = verticals_of_pairs(capture, concerned, features, index_ratio, options, recorder)
-    down, sigma = capture.down_in_cam.clone(), capture.down_sigma.clone()
-    for image in suspects:
-        sigma[image] = torch.inf
-        if bool((of == image).any()):
-            down[image], found, _ = mean_vertical(verticals[of == image], sigmas[of == image])
-            sigma[image] = found.clamp(min=LEAST_DOWN_SIGMA)
+    down, sigma = capture.down_in_cam, capture.down_sigma
+    doubtful: set[int] = set()
+    while suspects != doubtful:
+        doubtful = set(suspects)
+        if 2 * len(doubtful) > len(capture):
+            return _levelled(capture, matches, features, index_ratio, options, recorder)
+        concerned = best_pairs([pair for pair in usable if doubtful & {pair.first, pair.second}])
+        of, verticals, sigmas, _ = verticals_of_pairs(capture, concerned, features, index_ratio, options, recorder)
+        down, sigma = capture.down_in_cam.clone(), capture.down_sigma.clone()
+        sigma[list(doubtful)] = torch.inf
+        for image in of.unique().tolist():
+            shown, found, _ = mean_vertical(verticals[of == image], sigmas[of == image])
+            found = found.clamp(min=LEAST_DOWN_SIGMA)
+            apart = angle_between(shown, capture.down_in_cam[image]) / torch.hypot(found, capture.down_sigma[image])
+            if image in doubtful:
+                down[image], sigma[image] = shown, found
+            elif float(apart) > unlikely(len(capture)):
+                suspects = suspects | {image}
+    if not doubtful:
+        return capture
     carry_over(capture, usable, features, options, down, sigma)
     return replace(capture, down_in_cam=down, down_sigma=sigma)
+
+
+def _levelled(
+    capture: Capture,
+    matches: Sequence[PairMatches],
+    features: Sequence[Features],
+    index_ratio: float,
+    options: SfmOptions,
+    recorder: Recorder,
+) -> Capture:
+    """With all verticals from refraction; itself where it shows none, and nothing better is known."""
+    try:
+        return level_capture(capture, matches, features, index_ratio, options, recorder)
+    except UnknownVerticalError:
+        return capture
 
 
 def suspect_images(
