@@ -52,6 +52,15 @@ def test_a_view_with_few_large_errors_is_named(survey):
     assert (found.code, found.images) == ("weak_image", ("5.jpg",))
 
 
+def test_water_that_was_put_where_it_does_nothing_was_not_seen(survey):
+    scene = survey.scene(with_points=True)
+    points = scene.points * scene.points.new_tensor((1.0, 1.0, -1.0))
+    scene = replace(scene, points=points, assessment=Assessment(wished={"index_ratio": (0.1, 0.2)}))
+    (found, *_) = contradictions(scene, survey.capture)
+    assert found.code == "no_refraction_seen"
+    assert "100 % of the points above the water" in found.message
+
+
 @pytest.mark.parametrize(
     ("wished", "codes"),
     [

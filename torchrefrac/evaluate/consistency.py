@@ -18,13 +18,16 @@ FEW, WORSE = 0.5, 4.0
 SURE = 5.0
 """Standard deviations of a wished change, which noise that is correlated makes look too small."""
 NOTABLE_INDEX, NOTABLE_FOCAL = 0.01, 0.02
+MOSTLY_DRY, VAGUE = 0.5, 0.2
+"""Share of the points under water, and error of the index ratio in units of what it is above 1, of a scene in which the
+water was put where it does nothing."""
 AIR = 1.02
 """An index ratio below which there is no water."""
 
 
 def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
-    """All of them, those first that others may follow from. `scene`: what came out, with its assessment; `stated`: what went in, the same views in the same
-    order."""
+    """All of them, those first that others may follow from. `scene`: what came out, with its assessment; `stated`: what
+    went in, the same views in the same order."""
     if scene.index_ratio <= 1.0:
         return tuple(_weak_images(scene))
     return (*_given(scene), *_gravity(scene, stated), *_heights(scene, stated), *_weak_images(scene))
@@ -103,8 +106,15 @@ def _weak_images(scene: Scene) -> list[Finding]:
 def _given(scene: Scene) -> list[Finding]:
     """What was given of water and lens."""
     wished, found = scene.assessment.wished, []
-    step, sigma = wished.get("index_ratio", (0.0, 1.0))
-    if abs(step) > max(SURE * sigma, NOTABLE_INDEX):
+    step, sigma = wished.get("index_ratio", (0.0, 0.0))
+    wet = float((scene.points[scene.placed, 2] < 0.0).double().mean()) if len(scene.points) else 1.0
+    if wet < MOSTLY_DRY and sigma > VAGUE * (scene.index_ratio - 1.0):
+        message = (
+            f"the images show no refraction: they place {100.0 * (1.0 - wet):.0f} % of the points above the water, and "
+            f"could not tell its index ratio, stated as {scene.index_ratio:.4g}, from another (+- {sigma:.2g})"
+        )
+        found.append(Finding(WarningCode.NO_REFRACTION_SEEN, message))
+    elif abs(step) > max(SURE * sigma, NOTABLE_INDEX):
         seen = max(scene.index_ratio + step, 1.0)
         if seen < AIR:
             message = f"the images show no refraction, but an index ratio of {scene.index_ratio:.4g} is stated"
