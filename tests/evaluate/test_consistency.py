@@ -52,6 +52,21 @@ def test_a_view_with_few_large_errors_is_named(survey):
     assert (found.code, found.images) == ("weak_image", ("5.jpg",))
 
 
+def test_copies_of_a_photograph_are_told(survey, tmp_path):
+    paths = tuple(tmp_path / name for name in survey.capture.names)
+    for path, content in zip(paths, ("a", "b", "a", "cc", "d", "a"), strict=True):
+        path.write_text(content)
+    (found,) = contradictions(survey.scene(with_points=True), replace(survey.capture, paths=paths))
+    assert (found.code, found.images) == ("duplicate_image", ("0.jpg", "2.jpg", "5.jpg"))
+
+
+@pytest.mark.parametrize(("sigma_deg", "codes"), [(0.8, []), (2.5, ["gravity_undetermined"])])
+def test_gravity_that_nobody_stated_and_images_show_badly_is_told(survey, sigma_deg, codes):
+    found = torch.full_like(survey.capture.height, sigma_deg).deg2rad()
+    scene = replace(survey.scene(with_points=True), capture=replace(survey.capture, down_sigma=found))
+    assert _codes(scene, replace(survey.capture, has_gravity=False)) == codes
+
+
 def test_water_that_was_put_where_it_does_nothing_was_not_seen(survey):
     scene = survey.scene(with_points=True)
     points = scene.points * scene.points.new_tensor((1.0, 1.0, -1.0))

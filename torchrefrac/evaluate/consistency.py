@@ -4,6 +4,10 @@ Every finding is about the finished scene, whatever the reconstruction made of w
 right statement is called wrong once in some hundred scenes.
 """
 
+import math
+from collections import Counter
+from hashlib import sha256
+
 import torch
 from jaxtyping import Bool
 from torch import Tensor
@@ -21,6 +25,8 @@ NOTABLE_INDEX, NOTABLE_FOCAL = 0.01, 0.02
 MOSTLY_DRY, VAGUE = 0.5, 0.2
 """Share of the points under water, and error of the index ratio in units of what it is above 1, of a scene in which the
 water was put where it does nothing."""
+VAGUE_DEG = 1.5
+"""Error of verticals that nobody measured beyond which heights are not to be trusted."""
 AIR = 1.02
 """An index ratio below which there is no water."""
 
@@ -29,13 +35,39 @@ def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     """All of them, those first that others may follow from. `scene`: what came out, with its assessment; `stated`: what
     went in, the same views in the same order."""
     if scene.index_ratio <= 1.0:
-        return tuple(_weak_images(scene))
-    return (*_given(scene), *_gravity(scene, stated), *_heights(scene, stated), *_weak_images(scene))
+        return (*_duplicates(stated), *_weak_images(scene))
+    about_images = (*_duplicates(stated), *_weak_images(scene))
+    return (*_given(scene), *_gravity(scene, stated), *_heights(scene, stated), *about_images)
+
+
+def _duplicates(stated: Capture) -> list[Finding]:
+    """Files with the same content; only those of the same size are read."""
+    sizes = Counter(path.stat().st_size for path in stated.paths if path.is_file())
+    groups: dict[bytes, list[str]] = {}
+    for name, path in zip(stated.names, stated.paths, strict=True):
+        if path.is_file() and sizes[path.stat().st_size] > 1:
+            groups.setdefault(sha256(path.read_bytes()).digest(), []).append(name)
+    return [
+        Finding(
+            WarningCode.DUPLICATE_IMAGE,
+            f"{_listed(tuple(names))} are the same photograph: more copies add nothing, and make it look more certain",
+            tuple(names),
+        )
+        for names in groups.values()
+        if len(names) > 1
+    ]
 
 
 def _gravity(scene: Scene, stated: Capture) -> list[Finding]:
     if not stated.has_gravity:
-        return []
+        known = math.degrees(math.inf if scene.capture is None else scene.capture.typical_down_sigma)
+        if known <= VAGUE_DEG:
+            return []
+        message = (
+            f"down_in_cam is not stated, and pairs of images show which way is down to {known:.1f} degrees only: "
+            "heights and depths may be off by some percent, slopes by as much; measure down_in_cam"
+        )
+        return [Finding(WarningCode.GRAVITY_UNDETERMINED, message)]
     registered = scene.views.registered
     angle = angle_between(-scene.views.rotation[:, :, 2], stated.down_in_cam)
     wrong = registered & (angle > unlikely(int(registered.sum())) * stated.down_sigma)

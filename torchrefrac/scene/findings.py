@@ -9,10 +9,12 @@ class WarningCode(StrEnum):
     """What was found, as the `code` of a warning in metrics.json."""
 
     GRAVITY_CONTRADICTS = "gravity_contradicts"
+    GRAVITY_UNDETERMINED = "gravity_undetermined"
     HEIGHT_CONTRADICTS = "height_contradicts"
     WEAK_IMAGE = "weak_image"
     INTRINSICS_CONTRADICT = "intrinsics_contradict"
     INDEX_CONTRADICTS = "index_contradicts"
+    DUPLICATE_IMAGE = "duplicate_image"
     NO_REFRACTION_SEEN = "no_refraction_seen"
 
 

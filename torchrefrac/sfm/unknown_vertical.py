@@ -49,7 +49,8 @@ Status = Literal["success", "no_consensus", "degenerate"]
 @dataclass(frozen=True)
 class UnknownVertical:
     """rotation cam_from_world and center of cameras of which the first stands at (0, 0, 1) with heading 0; down_in_cam,
-    and sigma: the expected root-mean-square angle in radians to the true ones.
+    and sigma: the expected root-mean-square angle in radians to the true ones. noise: robust standard deviation of an
+    epipolar error, pixels.
 
     A failure has what was found; without a consensus that is nothing and sigma is infinite. `detail` says why.
     """
@@ -60,6 +61,7 @@ class UnknownVertical:
     inliers: Bool[Tensor, " n"]
     down_in_cam: Float[Tensor, "2 3"]
     sigma: Float[Tensor, " 2"]
+    noise: float = math.inf
     detail: str = ""
 
 
@@ -191,7 +193,8 @@ def _report(views: TwoViews, models: Models, max_error: float, min_inliers: int)
     sigma = _sigma(views, models[0], down[0], tight)
     others = torch.atan2(torch.linalg.cross(down, down[:1].expand_as(down)).norm(dim=-1), (down * down[0]).sum(dim=-1))
     sigma = torch.maximum(sigma, others.amax(dim=0))
-    found = UnknownVertical("success", rotations[0], centers[0], inliers, down[0], sigma)
+    noise = tightened(views.squared_errors(models[:1]), max_error) / 3.0
+    found = UnknownVertical("success", rotations[0], centers[0], inliers, down[0], sigma, noise)
     if (degrees := math.degrees(float(sigma.amax()))) <= MAX_SIGMA_DEG:
         return found
     detail = f"the vertical is determined to {degrees:.1f} degrees only: refraction is too weak to show the water"
@@ -215,4 +218,4 @@ def _sigma(
 def _nothing(plane: Float[Tensor, "n 2"], detail: str) -> UnknownVertical:
     vectors, infinite = plane.new_zeros(2, 3), plane.new_full((2,), torch.inf)
     nobody = torch.zeros(len(plane), dtype=torch.bool)
-    return UnknownVertical("no_consensus", plane.new_zeros(2, 3, 3), vectors, nobody, vectors, infinite, detail)
+    return UnknownVertical("no_consensus", plane.new_zeros(2, 3, 3), vectors, nobody, vectors, infinite, detail=detail)

@@ -21,13 +21,14 @@ from torchrefrac.geometry import rotate
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture
 from torchrefrac.sfm.rules import SfmOptions
-from torchrefrac.sfm.unknown_vertical import find_verticals, pinhole_rotation
+from torchrefrac.sfm.unknown_vertical import UnknownVertical, find_verticals, pinhole_rotation
 
 PAIRS_PER_IMAGE = 3
 LEAST_SIGMA, LEAST_DOWN_SIGMA = math.radians(0.2), math.radians(0.5)
 """Of a vertical from one pair, for what the noise does not tell; and of the capture, because the adjustment will use
 the same matches again: a tighter prior counts them twice."""
 PINHOLE_SIGMA = math.radians(5.0)
+NOISY = 4.0
 FAR = 9.0
 """Squared distance in standard deviations at which two verticals of one image contradict each other."""
 
@@ -91,8 +92,12 @@ def verticals_of_pairs(
     recorder: Recorder,
 ) -> tuple[Int[Tensor, " e"], Float[Tensor, "e 3"], Float[Tensor, " e"], str]:
     """Both verticals of every pair that determines them: of which image, down_in_cam, and how uncertain in radians; and
-    why the first pair that does not fails."""
-    image, down, sigma = [], [torch.zeros(0, 3, dtype=torch.float64)], [torch.zeros(0, dtype=torch.float64)]
+    why the first pair that does not fails.
+
+    A pair whose matches fit NOISY times worse than those of another has not found its pose: refinement finds the
+    minimum next to its start, and near nadir the right one is narrow.
+    """
+    solved: list[tuple[PairMatches, UnknownVertical]] = []
     detail = "" if pairs else f"no pair of images has {options.min_pair_inliers} matches"
     for step, pair in enumerate(recorder.track(pairs, len(pairs), "levelling", "pair")):
         limits = options.ransac.max_error, options.min_pair_inliers
@@ -100,12 +105,14 @@ def verticals_of_pairs(
         found = find_verticals(*planes, capture.intrinsics.focal, index_ratio, *limits)
         recorder.scalar("levelling/inliers", int(found.inliers.sum()), step)
         if found.status == "success":
-            image += [pair.first, pair.second]
-            down.append(found.down_in_cam)
-            sigma.append(found.sigma)
+            solved.append((pair, found))
         elif not detail:
             detail = f"{capture.names[pair.first]} and {capture.names[pair.second]}: {found.detail}"
-    return torch.tensor(image, dtype=torch.long), torch.cat(down), torch.cat(sigma), detail
+    least = min((found.noise for _, found in solved), default=0.0)
+    right = [(pair, found) for pair, found in solved if found.noise <= NOISY * least]
+    image = torch.tensor([i for pair, _ in right for i in (pair.first, pair.second)], dtype=torch.long)
+    down = torch.cat([torch.zeros(0, 3, dtype=torch.float64), *(found.down_in_cam for _, found in right)])
+    return image, down, torch.cat([down[:0, 0], *(found.sigma for _, found in right)]), detail
 
 
 def mean_vertical(

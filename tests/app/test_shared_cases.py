@@ -1,0 +1,78 @@
+"""Photographs with which something was stated wrongly, from the files to what is said in the end."""
+
+import json
+import shutil
+
+import pytest
+
+from tests.conftest import SHARED_DATA
+
+CASES = SHARED_DATA.parent / "cases"
+CONTRADICTED = {
+    "02-heights-offset": ("height_contradicts", [], "too large by 20 cm"),
+    "04-gravity-one-image-flipped": ("gravity_contradicts", ["cam02.jpg"], "55.1 degrees"),
+    "11-gravity-one-image-15deg": ("gravity_contradicts", ["cam04.jpg"], "15.3 degrees"),
+}
+MIXED_UP = {"x": (-1.0, 1.0, 1.0), "y": (1.0, -1.0, 1.0)}
+
+
+@pytest.fixture
+def case():
+    """`case(name)`: the folder of a shared case."""
+
+    def folder(name):
+        if not (CASES / name).is_dir():
+            pytest.skip(f"{CASES / name} is not there")
+        return CASES / name
+
+    return folder
+
+
+def _run(torchrefrac, folder, *more):
+    return torchrefrac("scene=capture", f"scene.path={folder}", "features.max_features=800", "out=run", *more)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n[:2] == "04" else pytest.mark.slow) for n in CONTRADICTED]
+)
+def test_what_is_stated_wrongly_is_named_and_does_no_harm(torchrefrac, case, metrics, tmp_path, name):
+    ended = _run(torchrefrac, case(name))
+
+    assert ended.status == 0
+    code, images, words = CONTRADICTED[name]
+    found = metrics(tmp_path / "run")
+    assert [(warning["code"], warning["images"]) for warning in found["warnings"]] == [(code, images)]
+    assert words in found["warnings"][0]["message"]
+    assert f"warning ({code}): " in ended.out
+    assert found["registered_images"] == 5
+    assert found["camera_rms_cm"] < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", MIXED_UP)
+def test_axes_that_are_mixed_up_in_all_images_are_found_out(torchrefrac, case, metrics, tmp_path, axis):
+    source = case("02-heights-offset")
+    content = json.loads((source / "capture.json").read_text())
+    for image in content["images"]:
+        image["height"] -= 20.0
+        image["down_in_cam"] = [sign * part for sign, part in zip(MIXED_UP[axis], image["down_in_cam"], strict=True)]
+    (tmp_path / "mixed_up").mkdir()
+    (tmp_path / "mixed_up" / "capture.json").write_text(json.dumps(content))
+    (tmp_path / "mixed_up" / "images").symlink_to(source / "images")
+    shutil.copy(source / "truth.json", tmp_path / "mixed_up")
+
+    assert _run(torchrefrac, tmp_path / "mixed_up").status == 0
+
+    found = metrics(tmp_path / "run")
+    assert [warning["code"] for warning in found["warnings"]] == ["gravity_contradicts"]
+    assert found["camera_rms_cm"] < 0.15
+
+
+@pytest.mark.slow
+def test_near_nadir_without_gravity_the_vertical_is_right_to_what_is_said_of_it(torchrefrac, case, metrics, tmp_path):
+    assert torchrefrac("scene=capture", f"scene.path={case('15-relief-nadir-no-gravity')}", "out=run").status == 0
+
+    found = metrics(tmp_path / "run")
+    assert [warning["code"] for warning in found["warnings"]] == ["gravity_undetermined"]
+    assert found["camera_rotation_rms_deg"] < found["gravity_sigma_deg"]
+    assert found["camera_rms_m"] < 0.5
