@@ -79,7 +79,7 @@ def test_through_water_a_measured_height_of_any_camera_sets_the_scale(survey_of,
 
 def test_through_water_several_measured_heights_are_met_by_least_squares(survey_of, scene_of, draw):
     survey = survey_of()
-    measured = survey.capture.height + draw.normal(4)
+    measured = survey.capture.height * (1.0 + 0.01 * draw.normal(4))  # their sigma
     capture = replace(survey.capture, height=measured, has_height=torch.tensor([True, True, False, True]))
 
     fixed = fix_frame(scene_of(survey), capture)
