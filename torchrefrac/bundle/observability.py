@@ -67,6 +67,11 @@ class Determination:
             return f"{text}, which is what was known before"
         return f"{text} (known to {self.prior:.2g}{unit} before)"
 
+    @property
+    def refusal(self) -> str:
+        """Why it is not refined, in words: how well it is known, and how well it would have to be."""
+        return f"{self.sentence}, but must be to {USEFUL[self.name]:g}{UNITS.get(self.name, '')} to be refined"
+
 
 def determinations(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> list[Determination]:
     """How well index ratio, plane, scale and what is refined of the intrinsics are determined at `scene`.
@@ -191,4 +196,4 @@ def undetermined(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> di
         found = determinations(problem, scene, pixel_sigma)
     except SingularError:
         return {}
-    return {d.name: d.sentence for d in found if d.name in refined and not d.useful}
+    return {d.name: d.refusal for d in found if d.name in refined and not d.useful}
