@@ -70,6 +70,8 @@ class Determination:
     @property
     def refusal(self) -> str:
         """Why it is not refined, in words: how well it is known, and how well it would have to be."""
+        if math.isinf(self.posterior):
+            return self.sentence
         return f"{self.sentence}, but must be to {USEFUL[self.name]:g}{UNITS.get(self.name, '')} to be refined"
 
 
