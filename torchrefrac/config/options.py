@@ -180,9 +180,9 @@ class AdjustOptions(ReadjustOptions):
     """An alignment from the command line, how to adjust it anew, and the folder for the results.
 
     alignment: folder of a COLMAP model or of a run. plane: where the water is without a water.json. index_ratio: by
-    default that of the water.json, or of fresh water. survey: path of a survey.json. truth: folder of a truth.json, by
-    default that of the alignment. format: of the COLMAP model that is written. quiet, report: as in
-    `OutputOptions`.
+    default that of the water.json, of the run, or of fresh water. survey: path of a survey.json. truth: folder of a
+    truth.json, by default that of the alignment, or of the photographs of the run. format: of the COLMAP model that is
+    written. quiet, report: as in `OutputOptions`.
     """
 
     alignment: str
