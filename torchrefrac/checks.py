@@ -71,7 +71,8 @@ def _as_float(number: Shaped[Tensor, ""] | float) -> float:
 def require_between(value: float, name: str, low: float, high: float, unit: str = "") -> None:
     """Refuse numbers outside low to high."""
     if not low <= value <= high:
-        raise ValueError(f"{name} is {value:g}, but must lie between {low:g} and {high:g}{unit and f' {unit}'}")
+        wanted = f"must lie between {low:g} and {high:g}{unit and f' {unit}'}"
+        raise ValueError(f"{name} is {_as_float(value):g}, but {wanted}")
 
 
 def require_floating(value: Shaped[Tensor, "..."] | float, name: str) -> None:

@@ -1,4 +1,4 @@
-"""Earlier results stay whole until there are new ones, whatever goes wrong; inputs and files of others stay for good."""
+"""Earlier results stay whole until there are new ones, whatever goes wrong; inputs, and what no run wrote, for good."""
 
 import os
 import shutil
@@ -80,24 +80,25 @@ def test_what_is_refused_leaves_earlier_results_byte_for_byte(torchrefrac, place
         ("others", "{}/metrics.json is not of a run, but would be replaced; name another folder as out"),
     ],
 )
-@pytest.mark.parametrize("sweep", [(), ("-m",)])
-def test_results_never_take_the_place_of_what_no_run_has_written(torchrefrac, place, sweep, out, sentence):
+def test_results_never_take_the_place_of_what_no_run_has_written(torchrefrac, place, out, sentence):
     for name, content in (("mine/points.ply", "a cloud"), ("others/metrics.json", '{"accuracy": 0.9}')):
         (place / name).parent.mkdir(exist_ok=True)
         (place / name).write_text(content)
     before = _files(place)
 
-    ended = torchrefrac(*sweep, "scene=capture", "scene.path=capture", f"out={out}")
+    ended = torchrefrac(*RUN[:2], f"out={out}")
 
-    after = _files(place)
-    assert {name: after[name] for name in before} == before
-    if not sweep:
-        assert ended.status == 1
-        assert sentence.format(place / out) in ended.err
-        assert after == before
-    elif not out:
-        assert ended.err == f"error: {sentence}\n"
-        assert after == before
+    assert (ended.status, ended.err) == (1, f"error: {sentence.format(place / out)}\n")
+    assert _files(place) == before
+
+
+def test_a_sweep_needs_a_folder_too(torchrefrac, place):
+    before = _files(place)
+
+    ended = torchrefrac("-m", *RUN[:2], "model=none,radial", "out=")
+
+    assert (ended.status, ended.err) == (1, "error: out is empty, but must be the folder for the results\n")
+    assert _files(place) == before
 
 
 def test_adjust_does_not_replace_its_inputs(torchrefrac, place):
@@ -124,7 +125,7 @@ def _failing(error):
     ("error", "status", "sentence"),
     [
         (pipeline.ReconstructionError("no pair"), 1, "error: no pair\n"),
-        (MemoryError("Unable to allocate 9 GiB"), 1, "error: there is not enough memory (Unable to allocate 9 GiB); use"),
+        (MemoryError("Unable to allocate 9 GiB"), 1, "error: there is not enough memory (Unable to allocate 9 GiB); "),
         (cv2.error("Insufficient memory"), 1, "error: there is not enough memory (Insufficient memory); use smaller"),
         (RuntimeError("DefaultCPUAllocator: can't allocate memory"), 1, "error: there is not enough memory (Default"),
         (torch.cuda.OutOfMemoryError("CUDA out of memory"), 1, "error: there is not enough memory (CUDA out of"),
@@ -300,9 +301,6 @@ def test_killed_the_old_or_the_new_results_are_there_whole(place, known_sparse, 
         "densify": ["densify", "run=run", *DENSE, "quiet=true"],
     }[command]
     shutil.copytree(place / "run", place / "old")
-    if command == "adjust":
-        record = RunRecord.read(place / "run")
-        RunRecord.of(place / "run", {**record.metrics, "command": "adjust"}).write()
     before = _files(place / "run")
 
     def prepare(patch):
@@ -331,9 +329,7 @@ def test_killed_the_old_or_the_new_results_are_there_whole(place, known_sparse, 
     after = {name: content for name, content in _files(place / "run").items() if not name.startswith(".torchrefrac")}
     after = {name: content for name, content in after.items() if not name.startswith("dense/parts/")}
     if moment == "swap":
-        found = RunRecord.read(place / "run")
-        assert found.is_complete
-        assert found.metrics != before
+        assert RunRecord.read(place / "run").is_complete
         assert RESULTS - {"side_view.png"} <= set(after)
         assert after["metrics.json"] != before["metrics.json"]
         assert ("dense.ply" in after) == (command == "densify")
@@ -370,6 +366,6 @@ def test_killed_at_twenty_moments_the_old_or_the_new_results_are_there_whole(pla
         record = RunRecord.read(place / "run")
         assert record.is_complete
         same = all(after[name] == content for name, content in before.items())
-        is_new = after["metrics.json"] != before["metrics.json"] and not (place / "run" / ".torchrefrac-partial").exists()
-        assert same or is_new
+        swapped = not (place / "run" / swap.PARTIAL).exists()
+        assert same or (swapped and after["metrics.json"] != before["metrics.json"])
         assert {"cameras.json", "points.ply", "tracks.npz"} <= set(after)

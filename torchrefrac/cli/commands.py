@@ -43,11 +43,11 @@ def reconstruct(config: DictConfig) -> None:
     settings = HydraConfig.get()
     folder = Path(settings.runtime.output_dir)
     if settings.mode is RunMode.MULTIRUN:
-        reconstruct_into(folder, config, settings)
+        reconstruct_into(folder, run_options(config), settings, config)
         return
     before = record_text(folder)
     try:
-        reconstruct_into(folder, config, settings)
+        reconstruct_into(folder, run_options(config), settings, config)
     except EXPECTED as error:
         keep_failure(error, config, list(settings.overrides.task), folder, before)
         tell(error, folder)
@@ -59,13 +59,13 @@ def is_watched(settings: Any) -> bool:
     return settings.mode is RunMode.RUN or str(settings.launcher["_target_"]) == ONE_BY_ONE
 
 
-def reconstruct_into(folder: Path, config: DictConfig, settings: Any) -> None:
+def reconstruct_into(folder: Path, options: RunOptions, settings: Any, config: DictConfig) -> None:
     """One run, reported on the terminal where it is watched; `folder` holds its results, or is as it was."""
-    options = run_options(config)
     if isinstance(options.scene, FolderOptions):
         require_outside(folder, scene_folder(options.scene, None, SilentRecorder()))
     with memory_lack_explained(), results_in(folder) as place:
-        for name, content in (("config", config), ("hydra", {"hydra": settings}), ("overrides", settings.overrides.task)):
+        told = {"config": config, "hydra": {"hydra": settings}, "overrides": settings.overrides.task}
+        for name, content in told.items():
             _save(content, place / OPTIONS / f"{name}.yaml", resolve=False)
         _reconstruct(place, options, settings)
         if settings.mode is RunMode.RUN:

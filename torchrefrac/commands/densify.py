@@ -37,8 +37,9 @@ class SparseRun(NamedTuple):
 def densify_run(run: SparseRun, options: DensifyOptions, recorder: Recorder) -> dict[str, Any]:
     """Make a run dense and leave the results in its folder, beside those of its other stages. Returns the metrics.
 
-    Dense results that lie there are removed first: see `results_in`. What a dense stage that was interrupted has finished is gone on with,
-    where options, photographs and cameras are still the same.
+    Dense results that lie there are removed first; `results_in` is for those that should stay until there are new ones.
+    What a dense stage that was interrupted has finished is gone on with, where options, photographs and cameras are
+    still the same.
     """
     files = RunFolder(run.folder)
     with files.recording_dense():
@@ -59,8 +60,8 @@ def dense_stage(
 ) -> None:
     """Densify, evaluate where `alignment` maps the cameras to those of the truth, write and draw everything.
 
-    Every view's patches are kept in the folder of the run itself until all is written. Raises DenseError where nothing is found or
-    outputs.raster_cell is too small for the extent, and what `densify` raises.
+    Every view's patches are kept in the folder of the run itself until all is written. Raises DenseError where nothing
+    is found or outputs.raster_cell is too small for the extent, and what `densify` raises.
     """
     folder = files.folder
     files.save_metrics()

@@ -11,13 +11,13 @@ from torchrefrac.commands.dense_outputs import depth_map_files
 from torchrefrac.config import OptionError
 from torchrefrac.files.colmap.model import STEMS
 from torchrefrac.files.run import DENSE_RESULTS, DEPTH_MAPS, METRICS, PARTS, RunRecord, RunRecordError, RunStatus
-from torchrefrac.files.swap import LOCK, PARTIAL, alone, finish, swap
+from torchrefrac.files.swap import PARTIAL, alone, finish, swap
 from torchrefrac.record.recorders import EVENTS, LOG
 
 MODEL, WATER, REPORT, OPTIONS = "colmap", "water.json", "report.html", ".hydra"
 RESULTS = ("features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png")
 OF_ADJUST = (WATER, *(f"{MODEL}/{stem}{end}" for stem in STEMS for end in (".txt", ".bin")))
-ABOUT = (METRICS, REPORT, LOG, EVENTS, OPTIONS, LOCK)  # what a folder without results may hold
+ABOUT = (METRICS, REPORT, LOG, EVENTS, OPTIONS)  # what a folder without results may hold where nobody works
 OWN_FOLDERS = (DEPTH_MAPS, MODEL, EVENTS, OPTIONS, PARTIAL)
 
 

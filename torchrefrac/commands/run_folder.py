@@ -36,13 +36,13 @@ class RunFolder:
     def recording(self, **about: Any) -> Iterator[None]:
         """Keep metrics.json true: "complete", or "failed" / "interrupted" with the reason and the last stage done.
 
-        Results of an earlier run in the same folder are removed first, so that the folder tells of one run; `results_in`
-        is for those that should stay until there are new ones. Only what a dense stage had finished before it was
-        interrupted stays, for the next one to go on with. Raises OptionError where what lies there is of no run.
+        Results of an earlier run in the same folder are removed first, so that the folder tells of one run;
+        `results_in` is for those that should stay until there are new ones. Only what a dense stage had finished before
+        it was interrupted stays, for the next one to go on with. Raises OptionError where what lies there is of no run.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         require_own(self.folder)
-        for name in (*RESULTS, REPORT, METRICS):
+        for name in (*RESULTS, REPORT):
             (self.folder / name).unlink(missing_ok=True)
         remove_dense_outputs(self.folder)
         self.metrics = {"status": "running", "stages": [], **about}
