@@ -22,7 +22,6 @@ class Range(NamedTuple):
     at_most: float | None = None
 
 
-
 def require(
     value: Shaped[Tensor, "..."] | float,
     name: str,

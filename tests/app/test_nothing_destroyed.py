@@ -24,7 +24,7 @@ from torchrefrac.files.run import RunRecord
 from torchrefrac.files.swap import FolderInUseError, alone, settle
 
 RUN = ("scene=capture", "scene.path=capture", "out=run")
-DENSE = ("dense.cell=24", "outputs.mesh=false", "outputs.raster=false", "outputs.depth_maps=false")
+DENSE = ("dense=depthmap", "dense.cell=48", "outputs.mesh=false", "outputs.raster=false", "outputs.depth_maps=false")
 RESULTS = {"cameras.json", "points.ply", "tracks.npz", "metrics.json", "side_view.png"}
 
 
@@ -248,11 +248,11 @@ def test_adjust_takes_ratio_photographs_and_truth_of_the_run(torchrefrac, place,
     found = metrics(place / "adjusted")
     assert ended.status == 0
     assert (found["index_ratio"], found["capture"]) == (ratio, str(place / "capture"))
-    assert found["camera_rms_cm"] < 0.5
+    assert found["camera_rms_cm"] < 1.0
 
 
 def test_adjust_takes_the_ratio_of_the_photographs_where_the_run_was_without_refraction(torchrefrac, place, metrics):
-    torchrefrac(*RUN[:2], "model=none", "out=none")
+    torchrefrac(*RUN[:2], "model=none", "features.max_features=1500", "out=none")
 
     ended = torchrefrac("adjust", "alignment=none", "plane.offset=find", "out=adjusted")
 
@@ -336,9 +336,17 @@ def test_killed_the_old_or_the_new_results_are_there_whole(place, known_sparse, 
         assert ("colmap/images.txt" in after) == (command == "adjust")
     else:
         assert after == before
-    ended = _in_child(place, arguments, lambda patch: None)
-    assert ended == 0
-    assert RunRecord.read(place / "run").is_complete
+
+
+def test_what_a_killed_run_has_left_behind_is_cleared_away_by_the_next(torchrefrac, place, known_sparse):
+    step = _killed(pipeline.RunFolder.stage_done, 1)
+    _in_child(place, RUN, lambda patch: patch.setattr(pipeline.RunFolder, "stage_done", step))
+    left = {path.name for path in (place / "run").iterdir()}
+
+    ended = torchrefrac(*RUN)
+
+    assert left > {swap.PARTIAL, swap.LOCK}
+    assert ended.status == 0
     assert not any(name.startswith(".torchrefrac") for name in _files(place / "run"))
 
 

@@ -83,9 +83,9 @@ def test_killed_at_any_step_the_old_or_the_new_results_are_there_whole(folder, t
 
 
 def test_whoever_works_there_is_alone(tmp_path):
-    with alone(tmp_path), pytest.raises(FolderInUseError, match="is in use by another process; wait until"):
-        with alone(tmp_path):
-            pass
+    sentence = "is in use by another process; wait until"
+    with alone(tmp_path), pytest.raises(FolderInUseError, match=sentence), alone(tmp_path):
+        pass
     with alone(tmp_path):
         assert (tmp_path / LOCK).is_file()
     assert not list(tmp_path.iterdir())

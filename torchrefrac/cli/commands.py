@@ -101,7 +101,7 @@ def adjust(config: DictConfig) -> None:
             _report(place, options.report)
     except EXPECTED as error:
         failure = {"status": "failed", "stages": [], "command": "adjust", "reason": tell(error, folder)}
-        if record_text(folder) == before and may_hold_failure(config, folder):
+        if record_text(folder) == before and may_hold_failure(error, config, folder):
             RunRecord.of(folder, failure).write()
         _report_failure(config, folder, before)
 

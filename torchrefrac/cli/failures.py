@@ -11,7 +11,7 @@ from hydra_plugins.torchrefrac_sweeper.messages import one_sentence
 from torchrefrac.bundle import UnadjustableError
 from torchrefrac.commands.memory import MemoryLackError
 from torchrefrac.commands.reconstruct import ReconstructionError
-from torchrefrac.commands.results import holds_nothing
+from torchrefrac.commands.results import OutRefusedError, holds_nothing
 from torchrefrac.config import OptionError
 from torchrefrac.dense import DenseError
 from torchrefrac.files.run import METRICS, RunRecordError
@@ -59,16 +59,17 @@ def keep_failure(
         if not isinstance(error, EXPECTED):
             append_traceback(error, folder)
             reason += f"; {os.path.relpath(folder / 'run.log')} says where"
-        if record_text(folder) == before and may_hold_failure(config, folder):
+        if record_text(folder) == before and may_hold_failure(error, config, folder):
             write_failure(folder, reason, str(config.model.name), _scene(config), overrides)
     except OSError as other:
         print(f"error: {one_sentence(other, folder)}", file=sys.stderr)
     return reason
 
 
-def may_hold_failure(config: DictConfig, folder: Path) -> bool:
-    """Whether a folder is there for the results of a run, and nothing else lies in it."""
-    return bool(str(config.get("out") or "").strip()) and holds_nothing(folder)
+def may_hold_failure(error: Exception, config: DictConfig, folder: Path) -> bool:
+    """Whether a folder is there for the results of the run that failed, and nothing else lies in it."""
+    taken = isinstance(error, OutRefusedError | FolderInUseError) or not str(config.get("out") or "").strip()
+    return not taken and holds_nothing(folder)
 
 
 def _scene(config: DictConfig) -> str:

@@ -11,7 +11,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.commands.results import MODEL, OF_ADJUST, WATER, require_not_replaced, require_own, run_record
+from torchrefrac.commands.results import (
+    MODEL,
+    OF_ADJUST,
+    WATER,
+    OutRefusedError,
+    require_not_replaced,
+    require_own,
+    run_record,
+)
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.config import FRESH_WATER, AdjustOptions, OptionError, PlaneOptions
 from torchrefrac.evaluate.metrics import evaluate
@@ -55,7 +63,7 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
     `folder` then holds colmap/, water.json, points.ply (with a standard deviation for every point), tracks.npz and
     metrics.json; and cameras.json where there is one camera and the water is the plane z = 0. metrics.json says why,
     where this fails. Of a run its own water, photographs and truth are taken where the options name none. Raises
-    OptionError, before anything is written, where the results would replace what was given.
+    OutRefusedError, before anything is written, where the results would replace what was given.
     """
     require_apart(options, folder)
     require_own(folder, adjusts=True)
@@ -87,16 +95,16 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
 
 
 def require_apart(options: AdjustOptions, folder: Path) -> None:
-    """Raise OptionError where results in `folder` would replace what is given, or a model that no run has written."""
+    """Raise OutRefusedError where results in `folder` would replace what is given, or a model that no run has written."""
     given = Path(options.alignment)
     place, into = given.resolve(), folder.resolve()
     found = find_colmap(given)
     if into in (place, found and found[0].resolve()) or place == into / MODEL:
-        raise OptionError(
+        raise OutRefusedError(
             f"out is {folder}, where the alignment lies, but the one that was given must stay; name another folder"
         )
     if find_colmap(into / MODEL) is not None and not (into / "metrics.json").is_file():
-        raise OptionError(f"{folder} holds a COLMAP model that no run has written; name another folder as out")
+        raise OutRefusedError(f"{folder} holds a COLMAP model that no run has written; name another folder as out")
     require_not_replaced(folder, "water.path", options.water.path)
     require_not_replaced(folder, "survey", options.survey)
 

@@ -21,6 +21,10 @@ ABOUT = (METRICS, REPORT, LOG, EVENTS, OPTIONS)  # what a folder without results
 OWN_FOLDERS = (DEPTH_MAPS, MODEL, EVENTS, OPTIONS, PARTIAL)
 
 
+class OutRefusedError(OptionError):
+    """Results may not go to a folder; the message names it and says why."""
+
+
 @contextmanager
 def results_in(folder: Path, *, adjusts: bool = False, goes_on: bool = False) -> Generator[Path, None, None]:
     """The folder to work in so that the results lie in `folder` at the end.
@@ -30,7 +34,7 @@ def results_in(folder: Path, *, adjusts: bool = False, goes_on: bool = False) ->
     complete either and no more stages were. adjusts: what `torchrefrac adjust` writes is written. goes_on: all but
     the dense results is copied first, as only these are made anew.
 
-    Raises FolderInUseError where another process works there, OptionError where results would take the place of files
+    Raises FolderInUseError where another process works there, OutRefusedError where results would take the place of files
     that no run has written; nothing is changed then.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -74,36 +78,38 @@ def holds_nothing(folder: Path) -> bool:
 
 
 def require_own(folder: Path, adjusts: bool = False, dense_alone: bool = False) -> None:
-    """Raise OptionError where results in `folder` would replace files that no run has written."""
+    """Raise OutRefusedError where results in `folder` would replace files that no run has written."""
     record = run_record(folder)
     if record is None and (folder / METRICS).exists():
-        raise OptionError(f"{folder / METRICS} is not of a run, but would be replaced; name another folder as out")
+        raise OutRefusedError(f"{folder / METRICS} is not of a run, but would be replaced; name another folder as out")
     foreign: Iterable[str] = ()
     if record is None:
         foreign = _dense_results(folder) if dense_alone else _results(folder, adjusts)
     elif adjusts and not _adjusted(record):
         foreign = _present(folder, OF_ADJUST)
     for name in foreign:
-        raise OptionError(f"{folder} holds {name}, which no run has written; name another folder as out")
+        raise OutRefusedError(f"{folder} holds {name}, which no run has written; name another folder as out")
 
 
 def require_outside(folder: Path, capture: Path) -> None:
-    """Raise OptionError where results in `folder` would lie among the photographs of a capture."""
+    """Raise OutRefusedError where results in `folder` would lie among the photographs of a capture."""
     into, given = folder.resolve(), capture.resolve()
     inside = any(into == given / part or given / part in into.parents for part in ("images", "masks"))
     around = any(place == given or place in given.parents for place in (into / own for own in OWN_FOLDERS))
     if into == given or inside or around:
-        raise OptionError(f"out is {folder}, where the photographs of {capture} lie; name another folder")
+        raise OutRefusedError(f"out is {folder}, where the photographs of {capture} lie; name another folder")
 
 
 def require_not_replaced(folder: Path, option: str, given: str | None) -> None:
-    """Raise OptionError where results in `folder` would replace a file that an option names."""
+    """Raise OutRefusedError where results in `folder` would replace a file that an option names."""
     if given is None:
         return
     place, into = Path(given).resolve(), folder.resolve()
     names = {into / name for name in (*RESULTS, *DENSE_RESULTS, *OF_ADJUST, METRICS, REPORT, LOG)}
     if place in names or any(into / own in place.parents for own in OWN_FOLDERS):
-        raise OptionError(f"{option} is {given}, which results in {folder} would replace; name another folder as out")
+        raise OutRefusedError(
+            f"{option} is {given}, which results in {folder} would replace; name another folder as out"
+        )
 
 
 def _adjusted(record: RunRecord) -> bool:

@@ -16,7 +16,6 @@ from torchrefrac.dense.patches import Patches
 from torchrefrac.files.npz import read_arrays, write_arrays
 from torchrefrac.scene import Scene
 
-
 ARRAYS = {
     **{"reference": "i:n", "pixels": "f:n2", "points": "f:n3", "normals": "f:n3", "sigma": "f:n", "footprint": "f:n"},
     **{"score": "f:n", "others": "i:nv", "visible": "b:nv"},

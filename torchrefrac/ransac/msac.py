@@ -59,8 +59,10 @@ class Estimator(Protocol):
 RANGES = {
     "max_error": Range(above=0.0, at_most=1e6),
     "confidence": Range(at_least=0.0),
-    **dict.fromkeys(("batch_size", "max_batch_size", "screening_size", "leaders"), Range(at_least=1, at_most=1_000_000)),
-    **dict.fromkeys(("max_samples", "min_inliers"), Range(at_least=1, at_most=1_000_000_000)),
+    **dict.fromkeys(
+        ("batch_size", "max_batch_size", "screening_size", "leaders"), Range(at_least=1, at_most=1_000_000)
+    ),
+    **dict.fromkeys(("max_samples", "min_inliers"), Range(at_least=1, at_most=1e9)),
     "screening_factor": Range(at_least=1.0, at_most=1e6),
 }
 
