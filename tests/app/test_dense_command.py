@@ -252,7 +252,7 @@ def test_an_adjusted_run_is_made_dense_from_the_photographs_of_the_run(torchrefr
 
     assert ended.status == 0
     assert metrics(place / "adjusted")["index_ratio"] == metrics(place / "run")["index_ratio"]
-    assert metrics(place / "adjusted")["camera_rms_cm"] < 0.5
+    assert metrics(place / "adjusted")["camera_rms_cm"] < 1.0
     assert metrics(place / "adjusted")["stages"] == ["adjusting", "dense"]
     assert {path.name for path in (place / "adjusted").iterdir()} >= DENSE_FILES | {"colmap", "water.json"}
 

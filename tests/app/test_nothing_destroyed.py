@@ -24,7 +24,7 @@ from torchrefrac.files.run import RunRecord
 from torchrefrac.files.swap import FolderInUseError, alone, settle
 
 RUN = ("scene=capture", "scene.path=capture", "out=run")
-DENSE = ("dense=depthmap", "dense.cell=48", "outputs.mesh=false", "outputs.raster=false", "outputs.depth_maps=false")
+DENSE = ("dense=depthmap", "dense.cell=24", "outputs.mesh=false", "outputs.raster=false", "outputs.depth_maps=false")
 RESULTS = {"cameras.json", "points.ply", "tracks.npz", "metrics.json", "side_view.png"}
 
 

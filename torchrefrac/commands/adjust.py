@@ -95,7 +95,7 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
 
 
 def require_apart(options: AdjustOptions, folder: Path) -> None:
-    """Raise OutRefusedError where results in `folder` would replace what is given, or a model that no run has written."""
+    """Raise OutRefusedError where results in `folder` would replace what is given, or a model that no run wrote."""
     given = Path(options.alignment)
     place, into = given.resolve(), folder.resolve()
     found = find_colmap(given)

@@ -34,8 +34,8 @@ def results_in(folder: Path, *, adjusts: bool = False, goes_on: bool = False) ->
     complete either and no more stages were. adjusts: what `torchrefrac adjust` writes is written. goes_on: all but
     the dense results is copied first, as only these are made anew.
 
-    Raises FolderInUseError where another process works there, OutRefusedError where results would take the place of files
-    that no run has written; nothing is changed then.
+    Raises FolderInUseError where another process works there, OutRefusedError where results would take the place of
+    files that no run has written; nothing is changed then.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with alone(folder):
