@@ -9,17 +9,28 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from torchrefrac.checks import Range, require_ranges
 from torchrefrac.files.capture import read_color
+
+RANGES = {
+    "max_features": Range(at_least=1, at_most=10_000_000),
+    "octave_layers": Range(at_least=1, at_most=16),
+    "contrast_threshold": Range(at_least=0.0, at_most=1.0),
+    "edge_threshold": Range(at_least=1.0, at_most=1e6),
+}
 
 
 @dataclass(frozen=True)
 class SiftOptions:
-    """OpenCV's SIFT parameters; max_features: the strongest (0: all)."""
+    """OpenCV's SIFT parameters; max_features: the strongest."""
 
     max_features: int = 8192
     octave_layers: int = 3
     contrast_threshold: float = 0.04
     edge_threshold: float = 10.0
+
+    def __post_init__(self) -> None:
+        require_ranges(self, RANGES)
 
 
 @dataclass(frozen=True)

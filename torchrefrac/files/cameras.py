@@ -14,6 +14,7 @@ from torchrefrac.camera import RefractiveCamera
 from torchrefrac.files.capture import intrinsics_content, read_intrinsics
 from torchrefrac.files.fields import Fields, different_names, scene_fields, write_json
 from torchrefrac.files.ply import write_vertices
+from torchrefrac.files.swap import settle
 from torchrefrac.geometry import Rigid
 from torchrefrac.scene import Assessment, Cameras, Interfaces, Observations, Scene, SceneError, Views, mean_deviation
 
@@ -33,6 +34,7 @@ def load_cameras(run: str | Path) -> NamedCameras:
     Raises SceneError, with the file and the field, for anything that cannot be right.
     """
     run = Path(run)
+    settle(run)
     scene = read_cameras(run / CAMERAS if run.is_dir() else run)
     scene = scene.of_views(scene.views.registered)
     of, views = scene.camera_of(), scene.views
