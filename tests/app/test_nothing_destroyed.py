@@ -48,6 +48,7 @@ def place(sparse, tmp_path):
     [
         ((*RUN, "features.max_features=0"), "features.max_features is 0, but must be finite and at least 1"),
         ((*RUN, "water.index_ratio=0.5"), "water.index_ratio is 0.5, but must lie between 1 and 3"),
+        ((*RUN, f"features.max_features={'9' * 5000}"), "a number on the command line has too many digits"),
         ((*RUN, "sfm.max_error=big"), "sfm.max_error is 'big', but must be a number"),
         (("scene=capture", "scene.path=nowhere", "out=run"), "nowhere is not a folder"),
         (("scene=capture", "out=run"), "scene.path is missing"),

@@ -12,9 +12,11 @@ from hydra_plugins.torchrefrac_sweeper.messages import COMPOSITION_ERRORS
 from torchrefrac.cli.arguments import for_hydra, typed
 from torchrefrac.cli.commands import adjust, densify, reconstruct
 from torchrefrac.cli.failures import failed, tell
+from torchrefrac.config import OptionError
 from torchrefrac.sweeps.folder import SweepError
 
 INTERRUPTED = 130
+TOO_LONG = "integer string conversion"  # what Python says of whole numbers of thousands of digits
 OTHERS: dict[str, Callable[[], None]] = {"adjust": adjust, "densify": densify}
 
 
@@ -34,6 +36,10 @@ def main() -> None:
         sys.exit(INTERRUPTED)
     except (*COMPOSITION_ERRORS, SweepError, OSError) as error:
         tell(error)
+    except ValueError as error:
+        if TOO_LONG not in str(error):
+            raise
+        tell(OptionError("a number on the command line has too many digits to be read; give one that is meant"))
     if failed:
         sys.exit(1)
 

@@ -29,7 +29,7 @@ class IterativeOptions:
     max_iterations: int = 500
 
     def __post_init__(self) -> None:
-        bounds = {"tolerance": Range(above=0.0, at_most=1.0), "max_iterations": Range(at_least=1, at_most=1_000_000)}
+        bounds = {"tolerance": Range(at_least=0.0, at_most=1.0), "max_iterations": Range(at_least=1, at_most=1_000_000)}
         require_ranges(self, bounds)
 
 

@@ -22,7 +22,7 @@ Status = Literal["converged", "max_iterations", "stalled", "not_finite"]
 RANGES = {
     "max_iterations": Range(at_least=0, at_most=1_000_000),
     "function_tolerance": Range(at_least=0.0, at_most=1.0),
-    "initial_damping": Range(above=0.0, at_most=1e9),
+    "initial_damping": Range(at_least=0.0, at_most=1e9),
     "max_damping": Range(above=0.0, at_most=1e30),
 }
 
