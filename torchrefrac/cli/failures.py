@@ -52,4 +52,4 @@ def keep_failure(error: Exception, config: DictConfig, overrides: list[str], fol
 
 def _scene(config: DictConfig) -> str:
     path = None if OmegaConf.is_missing(config.scene, "path") else config.scene.get("path")
-    return str(config.scene.name) if path is None else Path(path).name
+    return str(config.scene.name) if path is None else Path(str(path)).name

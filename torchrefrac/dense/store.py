@@ -10,9 +10,10 @@ import numpy as np
 import torch
 
 from torchrefrac.atomic import replacing
-from torchrefrac.dense.images import MASKS, photographs
+from torchrefrac.dense.images import photographs
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
+from torchrefrac.files.masks import MASKS
 from torchrefrac.scene import Scene
 
 
