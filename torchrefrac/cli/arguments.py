@@ -64,8 +64,9 @@ def _path_in_words_of_hydra(path: str, is_sweep: bool) -> str:
 
 def _has_numbers(sweep: Sweep) -> bool:
     """Whether some of the values of a,b,c are no texts."""
-    is_list = isinstance(sweep, ChoiceSweep) and sweep.simple_form
-    return is_list and not all(isinstance(value, str | QuotedString) for value in sweep.list)
+    if not isinstance(sweep, ChoiceSweep) or not sweep.simple_form:
+        return False
+    return not all(isinstance(value, str | QuotedString) for value in sweep.list)
 
 
 def _head(argument: str) -> str:

@@ -12,9 +12,10 @@ from torch import Tensor
 
 from torchrefrac.files.photographs import read_color
 
-PIXELS_A_KEYPOINT = 3000  # with fewer keypoints than one for as many pixels an image is searched for fainter ones,
-ENOUGH = 200  # unless it has as many
+PIXELS_A_KEYPOINT = 1000  # with fewer keypoints than one for as many pixels an image is searched for fainter ones,
+ENOUGH = 300  # unless it has as many
 FAINTEST = 0.125  # share of the contrast threshold that is gone down to
+REACH = 2.5  # diameters; three standard deviations of the widest blur that a keypoint is found in
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Features:
 def extract_sift(path: Path, options: SiftOptions, used: Bool[Tensor, "height width"] | None = None) -> Features:
     """Detect and describe the keypoints of the image file at `path`.
 
-    used: which of its pixels may be used, by default all; keypoints are as far from the others as they are wide.
+    used: which of its pixels may be used, by default all; no keypoint is so near to the others that it would see them.
 
     `enable_precise_upscale` is on: without it OpenCV places keypoints a quarter of a pixel off. Descriptors are
     RootSIFT (Arandjelovic & Zisserman, CVPR 2012). OpenCV's pixel (0, 0) is (0.5, 0.5) here.
@@ -94,11 +95,11 @@ def _detect(
 def _usable(
     keypoints: Sequence[cv2.KeyPoint], used: Bool[Tensor, "height width"], grey: UInt8[np.ndarray, "height width"]
 ) -> list[cv2.KeyPoint]:
-    """Those that are as far from what may not be used as they are wide: otherwise they are made by its edge."""
+    """Those that what may not be used has no part in: whose place it has not moved."""
     distance = cv2.distanceTransform(used.byte().numpy(), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     column, row = _nearest_pixels(keypoints, grey)
     far = zip(keypoints, distance[row, column].tolist(), strict=True)
-    return [keypoint for keypoint, away in far if away > keypoint.size]
+    return [keypoint for keypoint, away in far if away > REACH * keypoint.size]
 
 
 def _positions(keypoints: Sequence[cv2.KeyPoint]) -> Float[np.ndarray, "k 2"]:

@@ -72,7 +72,7 @@ def _read(path: Path, flags: int) -> cv2.typing.MatLike:
 def _require_depth(image: cv2.typing.MatLike | None, path: Path) -> cv2.typing.MatLike:
     if image is None:
         raise CaptureError(f"{path} cannot be read as an image; is it a complete JPEG, PNG or TIFF file?")
-    if image.dtype not in (np.uint8, np.uint16):
+    if image.dtype.name not in ("uint8", "uint16"):
         raise CaptureError(f"{path} holds numbers of type {image.dtype}; convert it to a PNG or TIFF of 8 or 16 bits")
     return image
 
@@ -82,7 +82,7 @@ def _stretched(image: cv2.typing.MatLike) -> UInt8[np.ndarray, "..."]:
     up_to = np.bincount(image.ravel(), minlength=1 << 16).cumsum()
     low, high = np.searchsorted(up_to, (RARE * image.size, (1.0 - RARE) * image.size))
     steps = (np.arange(1 << 16) - float(low)) * (255.0 / max(float(high - low), 255.0))
-    return steps.clip(0.0, 255.0).round().astype(np.uint8)[image]
+    return np.take(steps.clip(0.0, 255.0).round().astype(np.uint8), image)
 
 
 def _problem_of_jpeg(content: bytes) -> str:
