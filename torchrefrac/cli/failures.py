@@ -74,4 +74,4 @@ def may_hold_failure(error: Exception, config: DictConfig, folder: Path) -> bool
 
 def _scene(config: DictConfig) -> str:
     path = None if OmegaConf.is_missing(config.scene, "path") else config.scene.get("path")
-    return str(config.scene.name) if path is None else Path(path).name
+    return str(config.scene.name) if path is None else Path(str(path)).name

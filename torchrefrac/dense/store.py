@@ -10,9 +10,10 @@ import torch
 
 from torchrefrac.atomic import replacing
 from torchrefrac.checks import TorchrefracError
-from torchrefrac.dense.images import MASKS, photographs
+from torchrefrac.dense.images import photographs
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
+from torchrefrac.files.masks import MASKS
 from torchrefrac.files.npz import read_arrays, write_arrays
 from torchrefrac.scene import Scene
 

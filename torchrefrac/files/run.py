@@ -89,7 +89,7 @@ class RunRecord:
             raise RunRecordError(f"{path} is missing") from None
         except OSError as error:
             raise RunRecordError(f"{path} cannot be read: {error.strerror}") from None
-        except ValueError as error:  # no JSON, or no UTF-8
+        except (ValueError, RecursionError) as error:  # no JSON, or no UTF-8
             raise RunRecordError(f"{path} is damaged: {' '.join(str(error).split())}") from None
         if not isinstance(content, dict):
             raise RunRecordError(f"{path} is damaged: it must be an object")
