@@ -79,10 +79,11 @@ def _require_depth(image: cv2.typing.MatLike | None, path: Path) -> cv2.typing.M
 
 def _stretched(image: cv2.typing.MatLike) -> UInt8[np.ndarray, "..."]:
     """8 bits of 16; a range of fewer than 256 steps is not stretched, for there is nothing in between."""
-    up_to = np.bincount(image.ravel(), minlength=1 << 16).cumsum()
+    numbers = image.astype(np.uint16, copy=False)
+    up_to = np.bincount(numbers.ravel(), minlength=1 << 16).cumsum()
     low, high = np.searchsorted(up_to, (RARE * image.size, (1.0 - RARE) * image.size))
     steps = (np.arange(1 << 16) - float(low)) * (255.0 / max(float(high - low), 255.0))
-    return np.take(steps.clip(0.0, 255.0).round().astype(np.uint8), image)
+    return np.take(steps.clip(0.0, 255.0).round().astype(np.uint8), numbers)
 
 
 def _problem_of_jpeg(content: bytes) -> str:
