@@ -12,7 +12,10 @@ from torchrefrac.scene.capture import CaptureError
 
 JPEG, PNG = b"\xff\xd8", b"\x89PNG\r\n\x1a\n"
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-COLOR_TYPE, WITH_ALPHA = 25, (3, 4, 6)  # the byte of a PNG file; with a palette, of grey, of colours
+COLOR_TYPE, WITH_ALPHA = (
+    25,
+    (b"\x03", b"\x04", b"\x06"),
+)  # the byte of a PNG file; palettes, greys and colours with alpha
 MARKER = re.compile(rb"\xff+([\x01-\xcf\xd8-\xfe])")  # of JPEG, but those that restart the decoder
 END_OF_IMAGE, START_OF_SCAN, ALONE = 0xD9, 0xDA, (0x01, 0xD8)
 BETWEEN_SCANS = (0xC4, 0xCC, START_OF_SCAN, 0xDB, 0xDC, 0xDD, 0xFE)  # tables, comments and the next scan
@@ -38,7 +41,7 @@ def read_alpha(path: Path) -> cv2.typing.MatLike | None:
     """How opaque each pixel is (height, width), 0: not at all; None where the file does not say so."""
     with path.open("rb") as file:
         start = file.read(COLOR_TYPE + 1)
-    is_png = start.startswith(PNG) and start[COLOR_TYPE:] in map(bytes, zip(WITH_ALPHA, strict=True))
+    is_png = start.startswith(PNG) and start[COLOR_TYPE:] in WITH_ALPHA
     is_webp = start.startswith(b"RIFF") and start[8:12] == b"WEBP"
     if not (is_png or is_webp or start.startswith(TIFF)):
         return None
