@@ -359,6 +359,16 @@ def _other_size(place):
     _change(place / "capture" / "capture.json", lambda c: c["intrinsics"].update(height=120))
 
 
+def _write_masks(place, size, value):
+    (place / "capture" / "masks").mkdir()
+    for name in NAMES:
+        cv2.imwrite(str(place / "capture" / "masks" / f"{name[:-4]}.png"), np.full(size, value, dtype=np.uint8))
+
+
+def _write_small_masks(place):
+    _write_masks(place, (48, 64), 255)
+
+
 @pytest.mark.parametrize(
     ("harm", "arguments", "sentence"),
     [
@@ -383,6 +393,7 @@ def _other_size(place):
         (lambda p: _remove(p, "capture/images/cam02.jpg"), ["run=run"], "images/cam02.jpg does not exist"),
         (_forget_image, ["run=run"], "capture.json does not list cam00.jpg, whose pose is in run/cameras.json"),
         (_other_size, ["run=run"], "are 320x120, but those of run were 320x240; give those"),
+        (_write_small_masks, ["run=run"], "masks/cam00.png is 64x48, but the images are 320x240; give it their size"),
     ],
 )
 def test_what_cannot_be_made_dense_is_one_sentence_and_nothing_is_changed(
@@ -417,18 +428,11 @@ def _forget_points(place):
     np.savez(place / "run" / "tracks.npz", **arrays)
 
 
-def _write_masks(place, size, value):
-    (place / "capture" / "masks").mkdir()
-    for name in NAMES:
-        cv2.imwrite(str(place / "capture" / "masks" / f"{name[:-4]}.png"), np.full(size, value, dtype=np.uint8))
-
-
 @pytest.mark.parametrize(
     ("harm", "sentence"),
     [
         (_stand_in_one_place, "no two of 3 registered images see common points at an angle of more than 1 degree"),
         (_forget_points, "the scene has no sparse points, which say where to look"),
-        (lambda p: _write_masks(p, (48, 64), 255), "masks/cam00.png is 64x48, but the images are 320x240"),
         (lambda p: _write_masks(p, (240, 320), 0), "no patch of the surface looks the same in several images"),
     ],
 )

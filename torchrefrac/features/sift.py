@@ -106,7 +106,7 @@ def _detect(
 def _usable(
     keypoints: Sequence[cv2.KeyPoint], used: Bool[Tensor, "height width"], grey: UInt8[np.ndarray, "height width"]
 ) -> list[cv2.KeyPoint]:
-    """Those that what may not be used has no part in: whose place it has not moved."""
+    """Those whose place does not depend on what may not be used."""
     distance = cv2.distanceTransform(used.byte().numpy(), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     column, row = _nearest_pixels(keypoints, grey)
     far = zip(keypoints, distance[row, column].tolist(), strict=True)

@@ -12,7 +12,10 @@ from torchrefrac.scene.capture import CaptureError
 
 JPEG, PNG = b"\xff\xd8", b"\x89PNG\r\n\x1a\n"
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-COLOR_TYPE, WITH_ALPHA = 25, (3, 4, 6)  # the byte of a PNG file; with a palette, of grey, of colours
+COLOR_TYPE, WITH_ALPHA = (
+    25,
+    (b"\x03", b"\x04", b"\x06"),
+)  # the byte of a PNG file; palettes, greys and colours with alpha
 MARKER = re.compile(rb"\xff+([\x01-\xcf\xd8-\xfe])")  # of JPEG, but those that restart the decoder
 END_OF_IMAGE, START_OF_SCAN, ALONE = 0xD9, 0xDA, (0x01, 0xD8)
 BETWEEN_SCANS = (0xC4, 0xCC, START_OF_SCAN, 0xDB, 0xDC, 0xDD, 0xFE)  # tables, comments and the next scan
@@ -38,7 +41,7 @@ def read_alpha(path: Path) -> cv2.typing.MatLike | None:
     """How opaque each pixel is (height, width), 0: not at all; None where the file does not say so."""
     with path.open("rb") as file:
         start = file.read(COLOR_TYPE + 1)
-    is_png = start.startswith(PNG) and start[COLOR_TYPE:] in map(bytes, zip(WITH_ALPHA, strict=True))
+    is_png = start.startswith(PNG) and start[COLOR_TYPE:] in WITH_ALPHA
     is_webp = start.startswith(b"RIFF") and start[8:12] == b"WEBP"
     if not (is_png or is_webp or start.startswith(TIFF)):
         return None
@@ -79,10 +82,11 @@ def _require_depth(image: cv2.typing.MatLike | None, path: Path) -> cv2.typing.M
 
 def _stretched(image: cv2.typing.MatLike) -> UInt8[np.ndarray, "..."]:
     """8 bits of 16; a range of fewer than 256 steps is not stretched, for there is nothing in between."""
-    up_to = np.bincount(image.ravel(), minlength=1 << 16).cumsum()
+    numbers = image.astype(np.uint16, copy=False)
+    up_to = np.bincount(numbers.ravel(), minlength=1 << 16).cumsum()
     low, high = np.searchsorted(up_to, (RARE * image.size, (1.0 - RARE) * image.size))
     steps = (np.arange(1 << 16) - float(low)) * (255.0 / max(float(high - low), 255.0))
-    return np.take(steps.clip(0.0, 255.0).round().astype(np.uint8), image)
+    return np.take(steps.clip(0.0, 255.0).round().astype(np.uint8), numbers)
 
 
 def _problem_of_jpeg(content: bytes) -> str:
