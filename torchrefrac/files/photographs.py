@@ -12,10 +12,8 @@ from torchrefrac.scene.capture import CaptureError
 
 JPEG, PNG = b"\xff\xd8", b"\x89PNG\r\n\x1a\n"
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-COLOR_TYPE, WITH_ALPHA = (
-    25,
-    (b"\x03", b"\x04", b"\x06"),
-)  # the byte of a PNG file; palettes, greys and colours with alpha
+COLOR_TYPE = 25  # the byte of a PNG file that tells what its pixels are
+WITH_ALPHA = (b"\x03", b"\x04", b"\x06")  # palettes, greys and colours
 MARKER = re.compile(rb"\xff+([\x01-\xcf\xd8-\xfe])")  # of JPEG, but those that restart the decoder
 END_OF_IMAGE, START_OF_SCAN, ALONE = 0xD9, 0xDA, (0x01, 0xD8)
 BETWEEN_SCANS = (0xC4, 0xCC, START_OF_SCAN, 0xDB, 0xDC, 0xDD, 0xFE)  # tables, comments and the next scan
