@@ -24,6 +24,7 @@ def pytest_collection_finish() -> None:
 
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+SHARED_CASES = SHARED_DATA.with_name("cases")
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,19 @@ def shared_data() -> Callable[[str], Path]:
         path = SHARED_DATA / name
         if not path.is_dir():
             pytest.skip(f"the data set {name!r} does not lie beside the repository, in ../shared/data")
+        return path
+
+    return folder
+
+
+@pytest.fixture
+def shared_case() -> Callable[[str], Path]:
+    """`shared_case("08-alpha")` is the folder of that case; a checkout that lies without them skips the test."""
+
+    def folder(name: str) -> Path:
+        path = SHARED_CASES / name
+        if not path.is_dir():
+            pytest.skip(f"the case {name!r} does not lie beside the repository, in ../shared/cases")
         return path
 
     return folder

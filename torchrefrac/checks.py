@@ -1,7 +1,8 @@
 """Checks of what users hand in: a leaf that any layer may import. Every failure is a ValueError of one sentence."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Shaped
@@ -11,6 +12,14 @@ from torch._C import _functorch  # pyright: ignore[reportAttributeAccessIssue]
 from torchrefrac.errors import TorchrefracError as TorchrefracError  # noqa: PLC0414 - checks raise it elsewhere
 
 HALF = (torch.float16, torch.bfloat16)
+
+
+class Range(NamedTuple):
+    """What a number may be, as `require` takes it."""
+
+    at_least: float | None = None
+    above: float | None = None
+    at_most: float | None = None
 
 
 def require(
@@ -29,7 +38,7 @@ def require(
     if torch.compiler.is_compiling() or (isinstance(value, Tensor) and value.numel() == 0):
         return
     ends = torch.aminmax(unwrapped(value)) if isinstance(value, Tensor) else (value, value)  # NaN if there is one
-    low, high = (float(end) for end in ends)
+    low, high = map(_as_float, ends)
     too_low = (at_least is not None and low < at_least) or (above is not None and low <= above)
     too_high = at_most is not None and high > at_most
     if math.isfinite(low) and math.isfinite(high) and not (too_low or too_high):
@@ -41,10 +50,28 @@ def require(
     raise ValueError(f"{name} is {bad:g}{where}, but must be {wants}")
 
 
+def require_ranges(options: object, ranges: Mapping[str, Range]) -> None:
+    """Refuse options outside their ranges, by their names; each number of those that are lists. None is no number."""
+    for name, (at_least, above, at_most) in ranges.items():
+        value = getattr(options, name)
+        for number in value if isinstance(value, tuple) else (value,):
+            if number is not None:
+                require(number, name, at_least=at_least, above=above, at_most=at_most)
+
+
+def _as_float(number: Shaped[Tensor, ""] | float) -> float:
+    """Infinite where a whole number is too large for one."""
+    try:
+        return float(number)
+    except OverflowError:
+        return math.inf if number > 0 else -math.inf
+
+
 def require_between(value: float, name: str, low: float, high: float, unit: str = "") -> None:
     """Refuse numbers outside low to high."""
     if not low <= value <= high:
-        raise ValueError(f"{name} is {value:g}, but must lie between {low:g} and {high:g}{unit and f' {unit}'}")
+        wanted = f"must lie between {low:g} and {high:g}{unit and f' {unit}'}"
+        raise ValueError(f"{name} is {_as_float(value):g}, but {wanted}")
 
 
 def require_floating(value: Shaped[Tensor, "..."] | float, name: str) -> None:

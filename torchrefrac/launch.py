@@ -4,6 +4,7 @@ import os
 import sys
 
 from torchrefrac import __version__
+from torchrefrac.cli.streams import unbroken_streams
 
 
 def main() -> None:
@@ -12,7 +13,11 @@ def main() -> None:
     OpenMP's threads wait by spinning unless told otherwise before PyTorch is loaded. Beside one other busy process that
     makes a run several times slower, for nothing in return: its many small operations hardly profit from spinning.
     """
-    arguments = sys.argv[1:]
+    with unbroken_streams():
+        _run(sys.argv[1:])
+
+
+def _run(arguments: list[str]) -> None:
     if "--version" in arguments:
         print(f"torchrefrac {__version__}")
     elif "--help" in arguments or "-h" in arguments:

@@ -106,7 +106,10 @@ class SteadySweeper(BasicSweeper):
         if scene is not None:
             with open_dict(config):
                 config.scene.name = scene
-        folder = Path(str(OmegaConf.select(config, "hydra.sweep.dir")))
+        given = str(OmegaConf.select(config, "hydra.sweep.dir"))
+        if not given.strip():
+            raise SweepError("out is empty, but must be the folder for the results")
+        folder = Path(given)
         config.hydra.sweep.dir = str(folder)
         return folder
 

@@ -16,7 +16,7 @@ def jobs(monkeypatch):
     """Options of the jobs that were run; nothing is made or reconstructed."""
     seen = []
 
-    def remember(folder, options, settings):
+    def remember(folder, options, settings, config):
         seen.append(options)
         measured = {"images": 2, "registered_images": 2, "points": 9, "reprojection_median_px": 0.1}
         told = {"model": options.reconstruction.model.name, "capture": options.scene.label, "gravity": "measured"}

@@ -11,6 +11,8 @@ import pytest
 from hydra_plugins.torchrefrac_sweeper.messages import one_sentence
 from torchrefrac.cli import commands
 from torchrefrac.files.run import RunRecord
+from torchrefrac.sweeps.folder import SweepFolder
+from torchrefrac.sweeps.jobs import Job, write_sweep
 
 
 @dataclass
@@ -268,3 +270,16 @@ def test_metrics_say_scene_and_overrides(sweep, runs, small_tank, metrics, tmp_p
     assert found["overrides"] == {
         "scene": "capture", "scene.path": str(small_tank), "model": "radial", "seed": "3",
     }  # fmt: skip
+
+
+def test_the_record_of_an_earlier_attempt_stays_until_the_job_leaves_another(tmp_path):
+    job, run = Job("0_none", ("model=none",), "model=none"), tmp_path / "0_none"
+    write_sweep([job], tmp_path)
+    RunRecord.of(run, {"status": "interrupted", "stages": ["sparse"]}).write()
+    folder = SweepFolder(tmp_path, (job,))
+
+    assert folder.make_ready(job)
+    assert RunRecord.read(run).stages == ("sparse",)
+    assert not folder.has_record(job)
+    RunRecord.of(run, {"status": "failed", "stages": []}).write()
+    assert folder.has_record(job)

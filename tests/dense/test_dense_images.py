@@ -77,11 +77,24 @@ def test_a_mask_has_the_name_of_its_image_with_or_without_its_ending(capture, ha
     assert images.allowed(1).all()
 
 
-def test_the_mask_with_the_full_name_goes_first(capture, half):
+def test_two_masks_of_one_image_are_refused(capture, half):
     write_mask(capture, "right.png.png", half)
     write_mask(capture, "right.png", ~half)
 
-    assert torch.equal(Images(capture).allowed(1), half)
+    with pytest.raises(CaptureError, match=r"right.png has two masks"):
+        Images(capture)
+
+
+def test_what_is_wholly_transparent_is_not_allowed(capture, half):
+    grey = cv2.imread(str(capture.paths[1]))
+    cv2.imwrite(str(capture.paths[1]), np.dstack((grey, half.byte().numpy() * 255)))
+
+    images = Images(capture)
+    images.check()
+
+    assert images.has_masks
+    assert torch.equal(images.allowed(1), half)
+    assert images.allowed(0).all()
 
 
 def test_every_grey_of_a_mask_but_black_is_allowed(capture, half):

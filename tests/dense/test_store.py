@@ -3,6 +3,7 @@
 import os
 from dataclasses import fields, replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -80,6 +81,32 @@ def test_saving_again_replaces(open_store, patches):
     store.save(0, patches[torch.arange(3)])
 
     assert len(store.load(0)) == 3
+
+
+@pytest.mark.parametrize("harm", ["truncated", "flipped", "empty", "text", "another archive"])
+def test_a_damaged_part_is_not_there_and_can_be_saved_again(open_store, patches, harm):
+    store = open_store()
+    store.save(0, patches)
+    path = store.folder / "patches_00000.npz"
+    whole = path.read_bytes()
+    half = len(whole) // 2
+    flipped = whole[:half] + bytes([whole[half] ^ 0xFF]) + whole[half + 1 :]
+    np.savez(store.folder / "other.npz", reference=np.zeros(3))
+    other = (store.folder / "other.npz").read_bytes()
+    harmed = {"truncated": whole[:half], "flipped": flipped, "empty": b"", "text": b"patches", "another archive": other}
+    path.write_bytes(harmed[harm])
+
+    assert open_store().load(0) is None
+    store.save(0, patches)
+    _assert_same(open_store().load(0), patches)
+
+
+def test_a_damaged_label_clears_the_folder(open_store, patches):
+    store = open_store()
+    store.save(0, patches)
+    (store.folder / "made_from.txt").write_bytes(b"\xff\xfe")
+
+    assert open_store().load(0) is None
 
 
 @pytest.mark.parametrize("change", ["options", "sweep", "pose", "points", "water", "level", "registered"])

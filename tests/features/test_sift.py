@@ -89,12 +89,6 @@ def test_about_as_many_as_asked_for_are_kept(write_image, blobs):
     assert 20 <= len(extract_sift(write_image(blobs[0]), SiftOptions(max_features=20))) < 30
 
 
-def test_zero_keeps_all(write_image, blobs):
-    path = write_image(blobs[0])
-
-    assert len(extract_sift(path, SiftOptions(max_features=0))) >= len(extract_sift(path, SiftOptions()))
-
-
 def test_a_blank_image_has_no_features(write_image):
     features = extract_sift(write_image(np.full((120, 160), 127, dtype=np.uint8)), SiftOptions())
 
@@ -102,6 +96,77 @@ def test_a_blank_image_has_no_features(write_image):
     assert features.pixels.shape == (0, 2)
     assert features.descriptors.shape == (0, 128)
     assert features.colors.shape == (0, 3)
+
+
+def test_keypoints_in_pixels_that_may_not_be_used_are_dropped_and_those_near_them(write_image, blobs):
+    image, centers = blobs
+    used = torch.ones(SIZE, SIZE, dtype=torch.bool)
+    used[SIZE // 2 :] = False
+    path = write_image(image)
+
+    features = extract_sift(path, SiftOptions(), used)
+
+    everywhere = extract_sift(path, SiftOptions())
+    assert float(features.pixels[:, 1].max()) < SIZE // 2 - 3.0
+    far = everywhere.pixels[:, 1] < SIZE // 2 - 40.0
+    assert len(features) < len(everywhere)
+    assert torch.cdist(everywhere.pixels[far], features.pixels).amin(dim=1).max() < 0.01
+    offset = _offsets(features, centers)
+    assert offset.norm(dim=-1).median() < 0.05
+    torch.testing.assert_close(features.descriptors.norm(dim=-1), torch.ones(len(features)), rtol=0.0, atol=1e-5)
+
+
+def test_what_may_not_be_used_takes_no_room_among_the_strongest(write_image, blobs):
+    """A caption is sharper than all else."""
+    image = blobs[0].copy()
+    image[SIZE // 2 :] = 128 + (image[SIZE // 2 :].astype(int) - 128) // 4
+    image[: SIZE // 2] = np.kron(np.indices((40, 80)).sum(axis=0) % 2 * 255, np.ones((8, 8))).astype(np.uint8)
+    used = torch.zeros(SIZE, SIZE, dtype=torch.bool)
+    used[SIZE // 2 :] = True
+
+    features = extract_sift(write_image(image), SiftOptions(max_features=50), used)
+
+    assert len(features) == 50
+    assert float(features.pixels[:, 1].min()) > SIZE // 2
+
+
+def test_the_descriptors_of_what_may_be_used_are_those_of_the_whole_image(write_image, blobs):
+    used = torch.ones(SIZE, SIZE, dtype=torch.bool)
+    used[:, :40] = False
+    path = write_image(blobs[0])
+
+    some, every = extract_sift(path, SiftOptions(), used), extract_sift(path, SiftOptions())
+
+    same = torch.cdist(some.pixels, every.pixels) < 1e-6  # several, of different orientations
+    closeness = (some.descriptors @ every.descriptors.T - 2.0 * ~same).amax(dim=1)
+    assert float(closeness.min()) > 0.9999
+
+
+def test_nothing_is_found_where_nothing_may_be_used(write_image, blobs):
+    features = extract_sift(write_image(blobs[0]), SiftOptions(), torch.zeros(SIZE, SIZE, dtype=torch.bool))
+
+    assert (len(features), features.descriptors.shape, features.colors.shape) == (0, (0, 128), (0, 3))
+
+
+def test_an_image_of_hardly_any_contrast_is_searched_for_fainter_keypoints(write_image, blobs):
+    image, centers = blobs
+    faint = (128.0 + (image - 128.0) * 0.08).round().astype(np.uint8)
+
+    features = extract_sift(write_image(faint), SiftOptions())
+
+    offset = _offsets(features, centers)
+    assert len(offset) >= 0.7 * len(centers)
+    assert offset.norm(dim=-1).median() < 0.1
+
+
+def test_an_image_with_enough_keypoints_is_not(write_image, blobs):
+    """What is found is what OpenCV finds with the threshold that is asked for."""
+    image = blobs[0]
+
+    features = extract_sift(write_image(image), SiftOptions(contrast_threshold=0.05))
+
+    sift = cv2.SIFT.create(nfeatures=8192, contrastThreshold=0.05, enable_precise_upscale=True)
+    assert len(features) == len(sift.detect(image, None))
 
 
 def _offsets(features, centers):

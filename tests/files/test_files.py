@@ -155,6 +155,29 @@ def test_standard_deviations_of_points_are_a_property_of_the_vertices(tmp_path, 
         assert torch.equal(loaded_colors, colors)
 
 
+def test_coordinates_of_a_map_keep_their_digits(tmp_path, draw):
+    """Known to 3 cm at 4 123 456 m, or not known how well."""
+    points = draw.uniform(-20.0, 20.0, 250, 3) + torch.tensor([512345.0, 4123456.0, 100.0], dtype=torch.float64)
+    colors = torch.zeros(250, 3, dtype=torch.uint8)
+
+    for sigma in (torch.full((250,), 0.03, dtype=torch.float64), torch.full((250,), torch.inf), None):
+        write_points(points, colors, tmp_path / "points.ply", sigma)
+
+        assert torch.equal(load_points(tmp_path / "points.ply")[0], points)
+        cloud = trimesh.load(tmp_path / "points.ply", process=False)
+        assert cloud.vertices.tolist() == points.tolist()
+        assert list(_raw_ply(tmp_path / "points.ply")["vertex"]["properties"].values())[:3] == ["<f8"] * 3
+
+
+def test_coordinates_near_the_origin_are_floats(tmp_path, draw):
+    points = draw.uniform(-20.0, 20.0, 250, 3)
+
+    for sigma in (torch.full((250,), 0.03, dtype=torch.float64), None):
+        write_points(points, torch.zeros(250, 3, dtype=torch.uint8), tmp_path / "points.ply", sigma)
+
+        assert list(_raw_ply(tmp_path / "points.ply")["vertex"]["properties"].values())[:3] == ["<f4"] * 3
+
+
 def test_points_without_them_have_no_such_property(tmp_path, draw):
     write_points(draw.normal(3, 3), torch.zeros(3, 3, dtype=torch.uint8), tmp_path / "points.ply")
 

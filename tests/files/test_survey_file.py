@@ -266,7 +266,7 @@ def _covariance(*rows):
         (_set(scalebars=[]), "scalebars is not a known field; known here are format, pixel_origin"),
         (_set(images=[]), "images is a list of 0, but must be an object"),
         (_set(marks={"": {}}), "marks has an entry with an empty name"),
-        (_set(images={"a.jpg": 3}), "images.a.jpg is 3.0, but must be an object"),
+        (_set(images={"a.jpg": 3}), "images.a.jpg is 3, but must be an object"),
         (_image(hight=3), "images.a.jpg.hight is not a known field; known here are down_in_cam, height, center"),
         (_image(down_in_cam=[0, 0, 1.01]), "images.a.jpg.down_in_cam has length 1.0100, but must be a unit vector"),
         (_image(down_in_cam=[0, 0, 0]), "images.a.jpg.down_in_cam has length 0.0000"),

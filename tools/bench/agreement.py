@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
-from torchrefrac.files.capture import load_capture, read_color
+from torchrefrac.files.capture import load_capture
 from torchrefrac.files.library import embedded_scene
+from torchrefrac.files.photographs import read_color
 from torchrefrac.files.truth import load_truth
 from torchrefrac.geometry.surfaces import Rectangle
 from torchrefrac.refraction import FlatInterface

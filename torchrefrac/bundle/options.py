@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from torchrefrac.bundle.terms import Expectations
+from torchrefrac.checks import Range, require_ranges
 from torchrefrac.optim import IterativeOptions, LevenbergMarquardtOptions, LossName, ReducedSolver
 
 Unknown = Literal["focal", "principal_point", "radial", "distortion", "index_ratio", "plane_tilt", "plane_height"]
@@ -32,3 +33,8 @@ class BundleOptions:
     iterative: IterativeOptions = field(default_factory=IterativeOptions)
     compiled: bool = False
     solver: LevenbergMarquardtOptions = field(default_factory=LevenbergMarquardtOptions)
+
+    def __post_init__(self) -> None:
+        require_ranges(self, dict.fromkeys(("loss_scale", "pixel_sigma"), Range(above=0.0, at_most=1e6)))
+        if {"radial", "distortion"} <= set(self.refine):
+            raise ValueError("refine has radial and distortion, but the first is part of the second; name one of them")

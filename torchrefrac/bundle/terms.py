@@ -5,7 +5,7 @@ costs are in squared pixels.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple, Protocol
 
 import torch
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.rows import INTRINSICS
+from torchrefrac.checks import Range, require_ranges
 from torchrefrac.geometry import Plane, skew
 from torchrefrac.scene import Scene
 
@@ -136,6 +137,9 @@ class Expectations:
     index_ratio: float | None = None
     plane_tilt_deg: float | None = None
     plane_height: float | None = None
+
+    def __post_init__(self) -> None:
+        require_ranges(self, {each.name: Range(above=0.0, at_most=1e6) for each in fields(self)})
 
     def sigma_of(self, name: str) -> float | None:
         """Of a kind of unknown (keys of `rows.INTRINSICS` and `layout.WATER_WIDTH`), tilts in radians."""

@@ -16,17 +16,21 @@ from omegaconf import DictConfig, OmegaConf
 from torchrefrac.cli.arguments import typed
 from torchrefrac.cli.composed import adjust_options, densify_options, run_options
 from torchrefrac.cli.conf import CONF
-from torchrefrac.cli.failures import EXPECTED, keep_failure, tell
+from torchrefrac.cli.failures import EXPECTED, keep_failure, may_hold_failure, record_text, tell
 from torchrefrac.commands.adjust import adjust_run, require_apart
 from torchrefrac.commands.densify import SparseRun, densify_run, open_run
+from torchrefrac.commands.memory import memory_lack_explained
 from torchrefrac.commands.reconstruct import run
-from torchrefrac.config import AdjustOptions, DensifyOptions, RunOptions, scene_folder
+from torchrefrac.commands.results import OPTIONS, require_outside, results_in
+from torchrefrac.config import AdjustOptions, DensifyOptions, FolderOptions, RunOptions, scene_folder
 from torchrefrac.files.capture import load_capture
-from torchrefrac.files.run import METRICS, RunRecord
+from torchrefrac.files.run import RunRecord
+from torchrefrac.files.swap import home
 from torchrefrac.files.truth import load_truth
 from torchrefrac.html import write_report
 from torchrefrac.record.recorders import RunRecorders, run_recorders
 from torchrefrac.record.summary import adjustment_lines, dense_lines, reconstruction_lines, summary
+from torchrefrac.recorder import SilentRecorder
 from torchrefrac.scene import Capture
 from torchrefrac.sweeps.jobs import by_name
 
@@ -39,17 +43,15 @@ def reconstruct(config: DictConfig) -> None:
     settings = HydraConfig.get()
     folder = Path(settings.runtime.output_dir)
     if settings.mode is RunMode.MULTIRUN:
-        reconstruct_into(folder, run_options(config), settings)
+        reconstruct_into(folder, run_options(config), settings, config)
         return
-    (folder / METRICS).unlink(missing_ok=True)
+    before = record_text(folder)
     try:
-        reconstruct_into(folder, run_options(config), settings)
+        reconstruct_into(folder, run_options(config), settings, config)
     except EXPECTED as error:
-        keep_failure(error, config, list(settings.overrides.task), folder)
+        keep_failure(error, config, list(settings.overrides.task), folder, before)
         tell(error, folder)
-    if config.get("report"):
-        with _may_fail(folder):
-            write_report(folder)
+        _report_failure(config, folder, before)
 
 
 def is_watched(settings: Any) -> bool:
@@ -57,18 +59,30 @@ def is_watched(settings: Any) -> bool:
     return settings.mode is RunMode.RUN or str(settings.launcher["_target_"]) == ONE_BY_ONE
 
 
-def reconstruct_into(folder: Path, options: RunOptions, settings: Any) -> None:
-    """One run, reported on the terminal where it is watched."""
+def reconstruct_into(folder: Path, options: RunOptions, settings: Any, config: DictConfig) -> None:
+    """One run, reported on the terminal where it is watched; `folder` holds its results, or is as it was."""
+    if isinstance(options.scene, FolderOptions):
+        require_outside(folder, scene_folder(options.scene, None, SilentRecorder()))
+    with memory_lack_explained(), results_in(folder) as place:
+        told = {"config": config, "hydra": {"hydra": settings}, "overrides": settings.overrides.task}
+        for name, content in told.items():
+            _save(content, place / OPTIONS / f"{name}.yaml", resolve=False)
+        _reconstruct(place, options, settings)
+        if settings.mode is RunMode.RUN:
+            _report(place, options.output.report)
+
+
+def _reconstruct(place: Path, options: RunOptions, settings: Any) -> None:
     quiet = options.output.quiet or not is_watched(settings)
     overrides = by_name(settings.overrides.task)
-    with _recorders(folder, quiet) as recorder:
+    with _recorders(place, quiet) as recorder:
         capture = load_capture(scene_folder(options.scene, options.output.cache, recorder))
         model = options.reconstruction.model.name
         if not quiet:
-            into = os.path.relpath(folder)
+            into = os.path.relpath(home(place))
             print(f"{options.scene.label}: {len(capture)} images, model {model}, into {into}", file=sys.stderr)
         about = {"scene": options.scene.label, "overrides": overrides}
-        metrics = run(capture, options.reconstruction, recorder, folder, about, load_truth(capture.folder))
+        metrics = run(capture, options.reconstruction, recorder, place, about, load_truth(capture.folder))
         recorder.hparams(_compared(options, capture, overrides), metrics)
     if not quiet:
         print(summary(reconstruction_lines(metrics)))
@@ -78,31 +92,26 @@ def reconstruct_into(folder: Path, options: RunOptions, settings: Any) -> None:
 def adjust(config: DictConfig) -> None:
     """`torchrefrac adjust`."""
     folder = Path(HydraConfig.get().runtime.output_dir)
-    try:
-        if not OmegaConf.is_missing(config, "alignment"):
-            require_apart(Path(str(config.alignment)), folder)
-    except EXPECTED as error:
-        tell(error)  # and leave alone what is there
-        return
+    before = record_text(folder)
     try:
         options = adjust_options(config)
+        require_apart(options, folder)
+        with memory_lack_explained(), results_in(folder, adjusts=True) as place:
+            _adjust(options, config, place)
+            _report(place, options.report)
     except EXPECTED as error:
-        failure = {"status": "failed", "stages": [], "command": "adjust", "reason": tell(error)}
-        RunRecord.of(folder, failure).write()
-    else:
-        with _may_fail(folder):
-            _adjust(options, config, folder)
-    if config.report:
-        with _may_fail(folder):
-            write_report(folder)
+        failure = {"status": "failed", "stages": [], "command": "adjust", "reason": tell(error, folder)}
+        if record_text(folder) == before and may_hold_failure(error, config, folder):
+            RunRecord.of(folder, failure).write()
+        _report_failure(config, folder, before)
 
 
-def _adjust(options: AdjustOptions, config: DictConfig, folder: Path) -> None:
+def _adjust(options: AdjustOptions, config: DictConfig, place: Path) -> None:
     if not options.quiet:
-        print(f"{options.alignment}: adjusting again, into {os.path.relpath(folder)}", file=sys.stderr)
-    _save(config, folder / ".hydra" / "config.yaml")
-    with _recorders(folder, options.quiet) as recorder:
-        metrics = adjust_run(options, recorder, folder)
+        print(f"{options.alignment}: adjusting again, into {os.path.relpath(home(place))}", file=sys.stderr)
+    _save(config, place / OPTIONS / "config.yaml")
+    with _recorders(place, options.quiet) as recorder:
+        metrics = adjust_run(options, recorder, place)
     if not options.quiet:
         print(summary(adjustment_lines(metrics)))
 
@@ -110,24 +119,41 @@ def _adjust(options: AdjustOptions, config: DictConfig, folder: Path) -> None:
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="densify")
 def densify(config: DictConfig) -> None:
     """`torchrefrac densify`."""
-    with _may_fail():
+    with _may_fail(), memory_lack_explained():
         options = densify_options(config)
         sparse = open_run(Path(options.run), options.capture)
-        with _may_fail(sparse.folder):
-            _densify(sparse, options, config)
-        if options.report:
-            write_report(sparse.folder)
+        before = record_text(sparse.folder)
+        try:
+            with results_in(sparse.folder, goes_on=True) as place:
+                _densify(sparse._replace(folder=place), options, config)
+                _report(place, options.report)
+        except EXPECTED as error:
+            tell(error, sparse.folder)
+            _report_failure(config, sparse.folder, before)
 
 
 def _densify(sparse: SparseRun, options: DensifyOptions, config: DictConfig) -> None:
     posed = sparse.scene.views.num_registered
     if not options.quiet:
         print(f"{options.run}: making {posed} images dense, method {options.dense.method}", file=sys.stderr)
-    _save(config, sparse.folder / ".hydra" / "densify.yaml")
+    _save(config, sparse.folder / OPTIONS / "densify.yaml")
     with _recorders(sparse.folder, options.quiet, append=True) as recorder:
         metrics = densify_run(sparse, options, recorder)
     if not options.quiet:
         print(summary(dense_lines(metrics)))
+
+
+def _report(folder: Path, wanted: bool) -> None:
+    """Write report.html where it is wanted."""
+    if wanted:
+        with _may_fail(folder):
+            write_report(folder)
+
+
+def _report_failure(config: DictConfig, folder: Path, before: bytes | None) -> None:
+    """The same of a run that failed, unless it has left no word of itself."""
+    if record_text(folder) != before:
+        _report(folder, bool(config.get("report")))
 
 
 def _recorders(folder: Path, quiet: bool, append: bool = False) -> AbstractContextManager[RunRecorders]:
@@ -164,6 +190,6 @@ def _number(text: str) -> float | str:
         return text
 
 
-def _save(config: DictConfig, path: Path) -> None:
+def _save(content: Any, path: Path, resolve: bool = True) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    OmegaConf.save(config, path, resolve=True)
+    OmegaConf.save(OmegaConf.create(content) if isinstance(content, dict) else content, path, resolve=resolve)

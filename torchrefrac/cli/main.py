@@ -1,7 +1,10 @@
 """Which command runs, and what its exit status is."""
 
+import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from types import FrameType
 
 from hydra.core.utils import env_override
 
@@ -9,9 +12,11 @@ from hydra_plugins.torchrefrac_sweeper.messages import COMPOSITION_ERRORS
 from torchrefrac.cli.arguments import for_hydra, typed
 from torchrefrac.cli.commands import adjust, densify, reconstruct
 from torchrefrac.cli.failures import failed, tell
+from torchrefrac.config import OptionError
 from torchrefrac.sweeps.folder import SweepError
 
 INTERRUPTED = 130
+TOO_LONG = "integer string conversion"  # what Python says of whole numbers of thousands of digits
 OTHERS: dict[str, Callable[[], None]] = {"adjust": adjust, "densify": densify}
 
 
@@ -23,12 +28,31 @@ def main() -> None:
     command = OTHERS.get(given[0]) if given else None
     sys.argv = [program, *given] if command is None else [program, *given[1:]]  # what is left is Hydra's
     try:
-        with env_override({"HYDRA_FULL_ERROR": "1"}):  # Hydra raises what it would else print in many lines
+        with _terminated_as_interrupted(), env_override({"HYDRA_FULL_ERROR": "1"}):  # else Hydra prints many lines
             (command or reconstruct)()
     except KeyboardInterrupt:
-        print("interrupted; the files of the finished stages are in the run folder", file=sys.stderr)
+        kept = "the run folder holds the files of the finished stages, or, where it was complete before, what it held"
+        print(f"interrupted; {kept}", file=sys.stderr)
         sys.exit(INTERRUPTED)
     except (*COMPOSITION_ERRORS, SweepError, OSError) as error:
         tell(error)
+    except ValueError as error:
+        if TOO_LONG not in str(error):
+            raise
+        tell(OptionError("a number on the command line has too many digits to be read; give one that is meant"))
     if failed:
         sys.exit(1)
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Generator[None, None, None]:
+    """SIGTERM, as of a queue whose time is up, ends a run in the same way as Ctrl-C."""
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

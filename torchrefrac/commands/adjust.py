@@ -11,11 +11,22 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchrefrac.commands.results import (
+    MODEL,
+    OF_ADJUST,
+    WATER,
+    OutRefusedError,
+    require_not_replaced,
+    require_own,
+    run_record,
+)
 from torchrefrac.commands.run_folder import RunFolder
-from torchrefrac.config import FRESH_WATER, AdjustOptions, OptionError
+from torchrefrac.config import FRESH_WATER, AdjustOptions, OptionError, PlaneOptions
 from torchrefrac.evaluate.metrics import evaluate
-from torchrefrac.files.cameras import write_cameras, write_points
-from torchrefrac.files.colmap.model import STEMS, find_colmap, write_colmap
+from torchrefrac.files.cameras import CAMERAS, write_cameras, write_points
+from torchrefrac.files.capture import load_capture
+from torchrefrac.files.colmap.model import find_colmap, write_colmap
+from torchrefrac.files.run import RunRecord
 from torchrefrac.files.survey import read_survey
 from torchrefrac.files.tracks import read_scene, write_tracks
 from torchrefrac.files.truth import load_truth
@@ -27,7 +38,7 @@ from torchrefrac.scene import Interfaces, Scene, Survey, Truth
 from torchrefrac.sfm import Outcome, ReadjustOptions, readjust, with_found_level
 from torchrefrac.sfm.frame import transformed
 
-MODEL, WATER, TRACKS = "colmap", "water.json", "tracks.npz"
+TRACKS = "tracks.npz"
 
 
 def adjust(
@@ -51,17 +62,22 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
 
     `folder` then holds colmap/, water.json, points.ply (with a standard deviation for every point), tracks.npz and
     metrics.json; and cameras.json where there is one camera and the water is the plane z = 0. metrics.json says why,
-    where this fails. Raises OptionError, before anything is written, where the results would replace what was given.
+    where this fails. Of a run its own water, photographs and truth are taken where the options name none. Raises
+    OutRefusedError, before anything is written, where the results would replace what was given.
     """
-    require_apart(Path(options.alignment), folder)
-    files = RunFolder(folder)
-    with files.recording(command="adjust", source=str(Path(options.alignment).resolve())), _stage(files, "adjusting"):
+    require_apart(options, folder)
+    require_own(folder, adjusts=True)
+    files, given = RunFolder(folder), run_record(Path(options.alignment))
+    about = {"command": "adjust", "source": str(Path(options.alignment).resolve())}
+    if given is not None and given.capture is not None:
+        about["capture"] = str(given.capture)
+    with files.recording(**about), _stage(files, "adjusting"):
         _remove_results(folder)
         scene = read_scene(options.alignment)
-        truth = _truth(options)
+        truth = _truth(options, given)
         names = scene.views.names
         survey = read_survey(options.survey, names) if options.survey else Survey.empty(names)
-        scene = _with_water(scene, options)
+        scene = _with_water(scene, options, given)
         how: ReadjustOptions = options
         if options.plane.offset == "find":
             how = _with_varying_height(options)
@@ -78,16 +94,19 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
     return files.metrics
 
 
-def require_apart(given: Path, folder: Path) -> None:
-    """Raise OptionError where results in `folder` would replace what is given, or a model that no run has written."""
+def require_apart(options: AdjustOptions, folder: Path) -> None:
+    """Raise OutRefusedError where results in `folder` would replace what is given, or a model that no run wrote."""
+    given = Path(options.alignment)
     place, into = given.resolve(), folder.resolve()
     found = find_colmap(given)
     if into in (place, found and found[0].resolve()) or place == into / MODEL:
-        raise OptionError(
+        raise OutRefusedError(
             f"out is {folder}, where the alignment lies, but the one that was given must stay; name another folder"
         )
     if find_colmap(into / MODEL) is not None and not (into / "metrics.json").is_file():
-        raise OptionError(f"{folder} holds a COLMAP model that no run has written; name another folder as out")
+        raise OutRefusedError(f"{folder} holds a COLMAP model that no run has written; name another folder as out")
+    require_not_replaced(folder, "water.path", options.water.path)
+    require_not_replaced(folder, "survey", options.survey)
 
 
 @contextmanager
@@ -99,33 +118,50 @@ def _stage(files: RunFolder, name: str) -> Iterator[None]:
 
 def _remove_results(folder: Path) -> None:
     """Those of an earlier adjustment that a `RunFolder` does not know."""
-    model = folder / MODEL
-    for path in (folder / WATER, *(model / f"{s}{end}" for s in STEMS for end in (".txt", ".bin"))):
-        path.unlink(missing_ok=True)
+    for name in OF_ADJUST:
+        (folder / name).unlink(missing_ok=True)
 
 
-def _truth(options: AdjustOptions) -> Truth | None:
+def _truth(options: AdjustOptions, run: RunRecord | None) -> Truth | None:
+    """The one that is named, or that of the alignment, or of the photographs that it was made from."""
     if options.truth is None:
-        return load_truth(Path(options.alignment))
+        own = load_truth(Path(options.alignment))
+        return own if own is not None or run is None or run.capture is None else load_truth(run.capture)
     truth = load_truth(Path(options.truth))
     if truth is None:
         raise OptionError(f"truth is {options.truth}, but must be a folder that holds a truth.json")
     return truth
 
 
-def _with_water(scene: Scene, options: AdjustOptions) -> Scene:
-    """The scene behind the surfaces of a water.json, or behind the one plane of the options."""
-    if options.water.path is not None:
-        interfaces, rows = read_water(options.water.path, scene.views.names)
+def _with_water(scene: Scene, options: AdjustOptions, run: RunRecord | None) -> Scene:
+    """The scene behind the surfaces of a water.json, or behind the one plane of the options. An adjusted run has a
+    water.json of its own, which counts where the options say nothing else."""
+    path = options.water.path
+    own = None if run is None or run.command != "adjust" else run.folder / WATER
+    if path is None and own is not None and own.is_file() and options.plane == PlaneOptions():
+        path = str(own)
+    if path is not None:
+        interfaces, rows = read_water(path, scene.views.names)
         if options.index_ratio is not None:
             interfaces = replace(interfaces, index_ratio=torch.full_like(interfaces.index_ratio, options.index_ratio))
         return replace(scene, interfaces=interfaces, views=replace(scene.views, interface=rows))
     normal = torch.tensor(options.plane.normal, dtype=torch.float64)
     given = 0.0 if options.plane.offset == "find" else options.plane.offset
     offset = torch.tensor([given], dtype=torch.float64)
-    ratio = FRESH_WATER if options.index_ratio is None else options.index_ratio
+    ratio = _index_ratio(scene, options, run)
     interfaces = Interfaces((normal / normal.norm())[None], offset / normal.norm(), torch.full_like(offset, ratio))
     return replace(scene, interfaces=interfaces)
+
+
+def _index_ratio(scene: Scene, options: AdjustOptions, run: RunRecord | None) -> float:
+    """The one that is given, or that of the run, or of its photographs where the run was without refraction."""
+    if options.index_ratio is not None:
+        return options.index_ratio
+    is_run = (Path(options.alignment) / CAMERAS).is_file()
+    if is_run and (scene.index_ratio > 1.0 or (run is not None and run.model == "refractive")):
+        return scene.index_ratio
+    capture = None if run is None else run.capture
+    return FRESH_WATER if capture is None or not capture.is_dir() else load_capture(capture).index_ratio
 
 
 def _with_varying_height(options: AdjustOptions) -> AdjustOptions:

@@ -13,6 +13,7 @@ from torchrefrac.files.dense import write_dense, write_depth_map
 from torchrefrac.files.mesh import height_field_mesh, write_mesh
 from torchrefrac.files.raster import write_geotiff, write_raster
 from torchrefrac.files.run import DENSE_CLOUD, DENSE_RESULTS, DENSE_VIEW, DEPTH_MAPS, ERROR_MAP
+from torchrefrac.files.swap import remove_if_empty
 from torchrefrac.geometry import Similarity
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import DenseCloud, Raster, Scene, Truth
@@ -61,18 +62,14 @@ def remove_dense_outputs(folder: Path) -> None:
     """Remove what a dense stage has finished in a run folder; the parts of an unfinished one stay."""
     for name in DENSE_RESULTS:
         (folder / name).unlink(missing_ok=True)
-    maps = [path for end in ("npz", "png") for path in (folder / DEPTH_MAPS).rglob(f"*_depth.{end}")]
-    for path in maps:
+    for path in depth_map_files(folder):
         path.unlink()
-    for place in sorted({place for path in maps for place in path.parents}, key=lambda p: -len(p.parts)):
-        if folder in place.parents:
-            remove_if_empty(place)
+        remove_if_empty(path.parent, folder)
 
 
-def remove_if_empty(folder: Path) -> None:
-    """Remove a folder in which nothing lies."""
-    if folder.is_dir() and not any(folder.iterdir()):
-        folder.rmdir()
+def depth_map_files(folder: Path) -> list[Path]:
+    """The depth maps in a run folder, and their pictures."""
+    return [path for end in ("npz", "png") for path in (folder / DEPTH_MAPS).rglob(f"*_depth.{end}")]
 
 
 def depth_map_stems(names: Sequence[str]) -> dict[str, str]:

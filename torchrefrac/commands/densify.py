@@ -7,12 +7,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from torchrefrac.commands.dense_outputs import (
-    draw_dense_outputs,
-    remove_if_empty,
-    write_dense_outputs,
-    write_depth_maps,
-)
+from torchrefrac.commands.dense_outputs import draw_dense_outputs, write_dense_outputs, write_depth_maps
 from torchrefrac.commands.run_folder import DENSE, RunFolder, read_record
 from torchrefrac.config import DenseOutputs, DensifyOptions, OptionError
 from torchrefrac.dense import DenseError, DenseOptions, FolderStore, densify
@@ -24,6 +19,7 @@ from torchrefrac.evaluate.metrics import evaluate
 from torchrefrac.evaluate.textured import points_to_be_found
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.run import DEPTH_MAPS, PARTS
+from torchrefrac.files.swap import home, remove_if_empty
 from torchrefrac.files.tracks import CAMERAS, read_run
 from torchrefrac.files.truth import load_truth
 from torchrefrac.geometry import Similarity
@@ -41,8 +37,9 @@ class SparseRun(NamedTuple):
 def densify_run(run: SparseRun, options: DensifyOptions, recorder: Recorder) -> dict[str, Any]:
     """Make a run dense and leave the results in its folder, beside those of its other stages. Returns the metrics.
 
-    Dense results that lie there are replaced. What a dense stage that was interrupted has finished is gone on with,
-    where options, photographs and cameras are still the same.
+    Dense results that lie there are removed first; `results_in` is for those that should stay until there are new ones.
+    What a dense stage that was interrupted has finished is gone on with, where options, photographs and cameras are
+    still the same.
     """
     files = RunFolder(run.folder)
     with files.recording_dense():
@@ -63,12 +60,12 @@ def dense_stage(
 ) -> None:
     """Densify, evaluate where `alignment` maps the cameras to those of the truth, write and draw everything.
 
-    Every view's patches are kept in the run folder until all is written. Raises DenseError where nothing is found or
-    outputs.raster_cell is too small for the extent, and what `densify` raises.
+    Every view's patches are kept in the folder of the run itself until all is written. Raises DenseError where nothing
+    is found or outputs.raster_cell is too small for the extent, and what `densify` raises.
     """
     folder = files.folder
     files.save_metrics()
-    parts = FolderStore(folder / PARTS, scene, options)
+    parts = FolderStore(home(folder) / PARTS, scene, options)
     store, start = CountingStore(parts), time.perf_counter()
     dense = densify(scene, options, recorder, store)
     seconds = time.perf_counter() - start
@@ -92,7 +89,7 @@ def dense_stage(
         write_depth_maps(dense, scene, options, recorder, folder / DEPTH_MAPS)
     files.stage_done(DENSE, dense, seconds)
     parts.clear()
-    remove_if_empty(folder / DEPTH_MAPS)
+    remove_if_empty(parts.folder.parent, home(folder))
     recorder.cloud(DENSE, dense.cloud.points, dense.cloud.colors, 0)
 
 

@@ -19,6 +19,7 @@ from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
 from torchrefrac.figures.matches import StagePictures
+from torchrefrac.files.masks import Masks
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Capture, Scene, Truth
 from torchrefrac.sfm import (
@@ -161,8 +162,9 @@ def _initializer(
 
 
 def _extract(capture: Capture, options: Options, recorder: Recorder) -> list[Features]:
+    masks = Masks(capture)
     paths = recorder.track(capture.paths, len(capture), "features", "image")
-    return [extract_sift(path, options.features) for path in paths]
+    return [extract_sift(path, options.features, masks.used(i)) for i, path in enumerate(paths)]
 
 
 def _match(features: list[Features], options: Options, recorder: Recorder) -> list[PairMatches]:

@@ -12,6 +12,8 @@ from torch import Tensor
 
 from torchrefrac.atomic import replacing
 from torchrefrac.commands.dense_outputs import remove_dense_outputs
+from torchrefrac.commands.memory import memory_lack_explained
+from torchrefrac.commands.results import REPORT, RESULTS, require_own
 from torchrefrac.figures.side_views import draw_side_views, side_view
 from torchrefrac.files.cameras import write_cameras, write_points
 from torchrefrac.files.run import METRICS, RunRecord
@@ -20,10 +22,6 @@ from torchrefrac.geometry import Similarity
 from torchrefrac.record.memory import forget_peak_memory, peak_memory_gib
 from torchrefrac.scene import Scene, Truth
 
-RESULTS = (
-    "features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png", "report.html",
-    METRICS,
-)  # fmt: skip
 DENSE, DENSE_METRICS = "dense", ("dense_", "seconds_dense")  # the stage, and how the names of its metrics begin
 
 
@@ -38,14 +36,17 @@ class RunFolder:
     def recording(self, **about: Any) -> Iterator[None]:
         """Keep metrics.json true: "complete", or "failed" / "interrupted" with the reason and the last stage done.
 
-        Results of an earlier run in the same folder are removed first, so that the folder tells of one run. Only what a
-        dense stage had finished before it was interrupted stays, for the next one to go on with.
+        Results of an earlier run in the same folder are removed first, so that the folder tells of one run;
+        `results_in` is for those that should stay until there are new ones. Only what a dense stage had finished before
+        it was interrupted stays, for the next one to go on with. Raises OptionError where what lies there is of no run.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        for name in RESULTS:
+        require_own(self.folder)
+        for name in (*RESULTS, REPORT):
             (self.folder / name).unlink(missing_ok=True)
         remove_dense_outputs(self.folder)
         self.metrics = {"status": "running", "stages": [], **about}
+        self.save_metrics()
         with self._until_the_end():
             yield
 
@@ -57,7 +58,7 @@ class RunFolder:
         kept = {name: value for name, value in about if not name.startswith(DENSE_METRICS) and name != "reason"}
         self.metrics = kept | {"status": "running", "stages": [name for name in found.stages if name != DENSE]}
         self.save_metrics()
-        (self.folder / "report.html").unlink(missing_ok=True)  # which tells of what was
+        (self.folder / REPORT).unlink(missing_ok=True)  # which tells of what was
         remove_dense_outputs(self.folder)
         with self._until_the_end():
             yield
@@ -84,6 +85,7 @@ class RunFolder:
             write_tracks(product, self.folder / "tracks.npz")
         self.metrics["stages"].append(name)
         self.metrics[f"seconds_{name}"] = round(seconds, 3)
+        self.save_metrics()
 
     def complete(
         self, scene: Scene, metrics: dict[str, Any], truth: Truth | None, alignment: Similarity | None
@@ -100,7 +102,8 @@ class RunFolder:
         start = time.perf_counter() - sum(self.metrics.get(f"seconds_{stage}", 0.0) for stage in self.metrics["stages"])
         forget_peak_memory()
         try:
-            yield
+            with memory_lack_explained():
+                yield
         except KeyboardInterrupt:
             self._end("interrupted", start, "stopped by the user")
             raise

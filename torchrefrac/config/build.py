@@ -58,7 +58,10 @@ def _convert(hint: Any, value: Any, path: str) -> Any:
             raise OptionError(f"{path} is {value!r}, but must be a list")
         return tuple(_convert(get_args(hint)[0], item, f"{path}[{i}]") for i, item in enumerate(value))
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            raise OptionError(f"{path} has {value.bit_length()} binary digits, but must be a finite number") from None
     if type(value) is not hint:
         raise OptionError(f"{path} is {value!r}, but must be {PLAIN.get(hint)}")
     return value

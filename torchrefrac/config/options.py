@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from torchrefrac.checks import require
+from torchrefrac.checks import Range, require_ranges
 from torchrefrac.config.build import OptionError
 from torchrefrac.config.scenes import FolderOptions
 from torchrefrac.dense import DenseOptions
@@ -17,6 +17,9 @@ from torchrefrac.synthetic.options import SyntheticOptions
 
 ModelName = Literal["none", "radial", "refractive"]
 FRESH_WATER = 1.333
+SALINITY_PSU, WAVELENGTH_NM = Range(at_least=0.0, at_most=35.0), Range(at_least=400.0, at_most=700.0)
+SEED = Range(at_least=0, at_most=2**64 - 1)  # what PyTorch takes
+FARTHEST = 1e9  # of a plane from the origin, in any unit
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ class WaterOptions:
             except ValueError as error:
                 raise OptionError(f"water.{error}") from None
         _require_index_ratio(self.index_ratio, "water.index_ratio")
+        require_ranges(self, {"salinity_psu": SALINITY_PSU, "wavelength_nm": WAVELENGTH_NM})
 
     def ratio_of(self, capture_ratio: float) -> float:
         """The index ratio to use for a capture that states `capture_ratio`."""
@@ -79,8 +83,7 @@ class DenseOutputs:
         return self.mesh or self.raster or self.geotiff
 
     def __post_init__(self) -> None:
-        if self.raster_cell is not None:
-            require(self.raster_cell, "raster_cell", above=0.0)
+        require_ranges(self, {"raster_cell": Range(above=0.0, at_most=1e9)})
         if self.crs is not None and not self.geotiff:
             raise ValueError(f"crs is {self.crs!r}, but only a GeoTIFF has one: set geotiff to true")
         if self.geotiff:
@@ -103,6 +106,9 @@ class Options:
     outputs: DenseOutputs = field(default_factory=DenseOutputs)
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        require_ranges(self, {"seed": SEED})
+
 
 @dataclass(frozen=True)
 class OutputOptions:
@@ -113,6 +119,9 @@ class OutputOptions:
     cache: str | None = None
     quiet: bool = False
     report: bool = True
+
+    def __post_init__(self) -> None:
+        _require_out(self.out)
 
 
 @dataclass(frozen=True)
@@ -155,8 +164,8 @@ class PlaneOptions:
     def __post_init__(self) -> None:
         if len(self.normal) != 3 or not 0.0 < math.hypot(*self.normal) < math.inf:
             raise OptionError(f"plane.normal is {list(self.normal)}, but must be three numbers, not all zero")
-        if self.offset != "find" and not math.isfinite(self.offset):
-            raise OptionError(f"plane.offset is {self.offset}, but must be finite, or find")
+        if self.offset != "find" and not abs(self.offset) <= FARTHEST:
+            raise OptionError(f"plane.offset is {self.offset}, but must be finite, or find, and {FARTHEST:g} at most")
 
 
 @dataclass(frozen=True)
@@ -171,9 +180,9 @@ class AdjustOptions(ReadjustOptions):
     """An alignment from the command line, how to adjust it anew, and the folder for the results.
 
     alignment: folder of a COLMAP model or of a run. plane: where the water is without a water.json. index_ratio: by
-    default that of the water.json, or of fresh water. survey: path of a survey.json. truth: folder of a truth.json, by
-    default that of the alignment. format: of the COLMAP model that is written. quiet, report: as in
-    `OutputOptions`.
+    default that of the water.json, of the run, or of fresh water. survey: path of a survey.json. truth: folder of a
+    truth.json, by default that of the alignment, or of the photographs of the run. format: of the COLMAP model that is
+    written. quiet, report: as in `OutputOptions`.
     """
 
     alignment: str
@@ -189,9 +198,15 @@ class AdjustOptions(ReadjustOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        _require_out(self.out)
         _require_index_ratio(self.index_ratio, "index_ratio")
         if self.water.path is not None and self.plane != PlaneOptions():
             raise OptionError("water.path and plane are both given, but a water.json says where the planes are")
+
+
+def _require_out(out: str) -> None:
+    if not out.strip():
+        raise OptionError("out is empty, but must be the folder for the results")
 
 
 def _require_index_ratio(ratio: float | None, path: str) -> None:

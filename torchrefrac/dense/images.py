@@ -8,38 +8,36 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from torchrefrac.dense.matching.interest_points import InterestPoints, detect_interest_points
-from torchrefrac.files.capture import read_color, read_grey
+from torchrefrac.files.masks import Masks
+from torchrefrac.files.photographs import read_color, read_grey
 from torchrefrac.scene import Capture, CaptureError, Scene
 
-MASKS = "masks"
 PART, BESIDE = 2048, 32  # pixels across of what is searched for interest points at once, and that it looks beyond
 
 
 class Images:
-    """Grey and coloured pixels as 8-bit tensors, and the masks that lie in masks/ beside images/.
+    """Grey and coloured pixels as 8-bit tensors, and which of them may be used (`Masks`).
 
-    masks/NAME.png, where NAME is that of the image with or without its ending: black is left out. Of the grey images
-    the last few are remembered.
+    Of the grey images the last few are remembered.
     """
 
     def __init__(self, capture: Capture, remembered: int = 24) -> None:
         self.capture = capture
         self.size = (capture.intrinsics.height, capture.intrinsics.width)
-        self._masks = [_mask_path(capture, name) for name in capture.names]
+        self._masks = Masks(capture)
         self.grey = lru_cache(maxsize=remembered)(self._grey)
         self.allowed = lru_cache(maxsize=remembered)(self._allowed)
         self.interest_points = lru_cache(maxsize=None)(self._interest_points)
 
     @property
     def has_masks(self) -> bool:
-        return any(path is not None for path in self._masks)
+        return self._masks.hide_something
 
     def check(self) -> None:
         """Raise CaptureError for an image or a mask that is missing, cannot be read, or has another size."""
-        for i, mask in enumerate(self._masks):
+        for i in range(len(self.capture)):
             self.grey(i)
-            if mask is not None:
-                self.allowed(i)
+            self._masks.used(i)
 
     def colors(self, image: Int[Tensor, " n"], pixels: Float[Tensor, "n 2"]) -> UInt8[Tensor, "n 3"]:
         """RGB at pixels of images, each of which is read once."""
@@ -73,11 +71,9 @@ class Images:
         return InterestPoints(*(torch.cat(parts) for parts in zip(*found, strict=True)))
 
     def _allowed(self, image: int) -> Bool[Tensor, "height width"]:
-        """Which pixels the mask lets through."""
-        path = self._masks[image]
-        if path is None:
-            return torch.ones(self.size, dtype=torch.bool)
-        return self._sized(torch.from_numpy(read_grey(path)), path) > 0
+        """Which pixels may be used."""
+        used = self._masks.used(image)
+        return torch.ones(self.size, dtype=torch.bool) if used is None else used
 
     def _sized(self, picture: UInt8[Tensor, "height width"], path: Path) -> UInt8[Tensor, "height width"]:
         if tuple(picture.shape) != self.size:
@@ -93,9 +89,3 @@ def photographs(scene: Scene) -> Capture:
     if scene.capture.names != scene.views.names:
         raise CaptureError("the photographs of the scene's capture are not those of its views, in the same order")
     return scene.capture
-
-
-def _mask_path(capture: Capture, name: str) -> Path | None:
-    folder = capture.folder / MASKS
-    choices = (folder / f"{name}.png", (folder / name).with_suffix(".png"))
-    return next((path for path in choices if path.is_file()), None)

@@ -5,9 +5,26 @@ from typing import Literal
 
 import torch
 
-from torchrefrac.checks import require
+from torchrefrac.checks import Range, require_ranges
 
 Method = Literal["none", "patch", "depthmap"]
+COUNT, SOME = Range(at_least=1, at_most=1_000_000), Range(at_least=2, at_most=1_000_000)
+SWEEP_RANGES = {"planes": SOME, "level": Range(at_least=0, at_most=16), "window": Range(at_most=1001)}
+RANGES = {
+    **dict.fromkeys(("cell", "views", "neighbours", "max_tile"), COUNT),
+    **dict.fromkeys(("min_views", "maps"), SOME),
+    "batch": Range(at_least=1, at_most=1_000_000_000),
+    "window": Range(at_most=1001),
+    "levels": Range(at_least=1, at_most=16),
+    "angle_best": Range(above=0.0),
+    "angle_max": Range(at_most=180.0),
+    "max_slant": Range(above=0.0),
+    "min_contrast": Range(at_least=0.0, at_most=255.0),
+    "noise": Range(above=0.0, at_most=255.0),
+    "max_sigma": Range(above=0.0, at_most=1e6),
+    "loss_scale": Range(above=0.0, at_most=1e6),
+    "iterations": Range(at_least=0, at_most=1_000_000),
+}
 
 
 @dataclass(frozen=True)
@@ -21,8 +38,7 @@ class SweepOptions:
     min_score: float = 0.6
 
     def __post_init__(self) -> None:
-        require(self.planes, "planes", at_least=2)
-        require(self.level, "level", at_least=0)
+        require_ranges(self, SWEEP_RANGES)
         _require_window(self.window)
         _require_score(self.min_score)
 
@@ -70,28 +86,19 @@ class DenseOptions:
     sweep: SweepOptions = field(default_factory=SweepOptions)
 
     def __post_init__(self) -> None:
-        for name in ("cell", "views", "neighbours", "levels", "batch", "max_tile"):
-            require(getattr(self, name), name, at_least=1)
+        require_ranges(self, RANGES)
         _require_window(self.window)
-        require(self.min_views, "min_views", at_least=2)
-        require(self.maps, "maps", at_least=2)
         if self.min_views > self.views + 1:
             raise ValueError(
                 f"min_views is {self.min_views}, but can be views + 1 = {self.views + 1} at most: no more are compared"
             )
         _require_score(self.min_score)
-        for name in ("angle_best", "angle_max", "noise", "max_sigma", "loss_scale"):
-            require(getattr(self, name), name, above=0.0)
-        require(self.angle_max, "angle_max", at_most=180.0)
         if self.angle_best >= self.angle_max:
             raise ValueError(f"angle_best is {self.angle_best:g}, but must be below angle_max, {self.angle_max:g}")
-        require(self.max_slant, "max_slant", above=0.0)
         if self.max_slant >= 90.0:
             raise ValueError(
                 f"max_slant is {self.max_slant:g}, but must be below 90 degrees: a patch has to face the ray"
             )
-        require(self.min_contrast, "min_contrast", at_least=0.0)
-        require(self.iterations, "iterations", at_least=0)
         _require_device(self.device)
         if self.method == "depthmap" and self.levels <= max(self.sweep.level, 1):
             raise ValueError(

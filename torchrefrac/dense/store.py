@@ -2,18 +2,30 @@
 
 import hashlib
 import json
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
 import torch
 
 from torchrefrac.atomic import replacing
-from torchrefrac.dense.images import MASKS, photographs
+from torchrefrac.checks import TorchrefracError
+from torchrefrac.dense.images import photographs
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
+from torchrefrac.files.masks import MASKS
+from torchrefrac.files.npz import read_arrays, write_arrays
 from torchrefrac.scene import Scene
+
+ARRAYS = {
+    **{"reference": "i:n", "pixels": "f:n2", "points": "f:n3", "normals": "f:n3", "sigma": "f:n", "footprint": "f:n"},
+    **{"score": "f:n", "others": "i:nv", "visible": "b:nv"},
+}
+"""Of patches, as `read_arrays` takes them."""
+
+
+class DamagedPartError(TorchrefracError, ValueError):
+    """The patches of a view cannot be read; they are found again."""
 
 
 class Store(Protocol):
@@ -34,13 +46,14 @@ class NoStore:
 
 
 class FolderStore:
-    """Stores them in a folder, one file a view, with what they were made from; others that lie there are removed."""
+    """Stores them in a folder, one file a view, with what they were made from; others that lie there are removed, and
+    damaged ones are not there."""
 
     def __init__(self, folder: Path, scene: Scene, options: DenseOptions) -> None:
         self.folder = folder
         made_from = fingerprint(scene, options)
         label = folder / "made_from.txt"
-        if not label.is_file() or label.read_text(encoding="ascii") != made_from:
+        if not label.is_file() or label.read_bytes() != made_from.encode("ascii"):
             self.clear()
             with replacing(label) as temporary:
                 temporary.write_text(made_from, encoding="ascii")
@@ -49,13 +62,14 @@ class FolderStore:
         path = self._path(image)
         if not path.is_file():
             return None
-        with np.load(path) as arrays:
-            return Patches(*(torch.from_numpy(arrays[f.name]) for f in fields(Patches)))
+        try:
+            found = read_arrays(path, ARRAYS, DamagedPartError)
+        except DamagedPartError:
+            return None
+        return Patches(*(torch.from_numpy(found[name]) for name in ARRAYS))
 
     def save(self, image: int, patches: Patches) -> None:
-        with replacing(self._path(image)) as temporary:
-            arrays = {f.name: getattr(patches, f.name).numpy() for f in fields(Patches)}
-            np.savez(temporary, **arrays)  # type: ignore[arg-type]
+        write_arrays({name: getattr(patches, name).numpy() for name in ARRAYS}, self._path(image))
 
     def clear(self) -> None:
         """Remove all files, and the folder."""

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
-from torchrefrac.files.capture import read_grey
+from torchrefrac.files.photographs import read_grey
 from torchrefrac.files.truth import load_truth_points
 from torchrefrac.scene import CaptureError, Scene, Truth, TruthPoints
 

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchrefrac.checks import Range, require_ranges
+
 CHUNK = 512
 
 
@@ -14,6 +16,9 @@ class MatchOptions:
     """ratio: the nearest descriptor must be closer than this times the second nearest (Lowe, IJCV 2004)."""
 
     ratio: float = 0.8
+
+    def __post_init__(self) -> None:
+        require_ranges(self, {"ratio": Range(above=0.0, at_most=1.0)})
 
 
 def match(

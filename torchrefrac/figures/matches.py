@@ -11,7 +11,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from torchrefrac.features import Features
-from torchrefrac.files.capture import read_color
+from torchrefrac.files.photographs import read_color
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, Scene
 from torchrefrac.sfm import VerifiedPair

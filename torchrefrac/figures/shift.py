@@ -11,7 +11,8 @@ from torch import Tensor
 
 from torchrefrac.figures.panels import EMPTY
 from torchrefrac.figures.plotting import WIDTH, blank_figure, color_bar, color_scale
-from torchrefrac.scene import Scene
+from torchrefrac.files.photographs import read_grey
+from torchrefrac.scene import CaptureError, Scene
 
 CELLS, ARROWS = 96, 9  # across the image
 FURTHER_DEG = 8.0  # a second image is shown where it looks so much more obliquely
@@ -88,8 +89,11 @@ def shift_figure(scene: Scene, images: Sequence[int], depth: float, photographs:
 
 def _photograph(panel: Any, path: Path | None, width: int, height: int) -> None:
     """In grey, behind all else."""
-    how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
-    image = cv2.imread(str(path), how) if path is not None and path.is_file() else None
-    if image is not None:
-        small = cv2.resize(image, (640, max(1, round(640 * height / width))), interpolation=cv2.INTER_AREA)
-        panel.imshow(small, cmap="gray", vmin=0, vmax=255, extent=(0, width, height, 0), zorder=0)
+    if path is None or not path.is_file():
+        return
+    try:
+        image = read_grey(path)
+    except CaptureError:
+        return
+    small = cv2.resize(image, (640, max(1, round(640 * height / width))), interpolation=cv2.INTER_AREA)
+    panel.imshow(small, cmap="gray", vmin=0, vmax=255, extent=(0, width, height, 0), zorder=0)

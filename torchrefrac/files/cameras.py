@@ -13,7 +13,8 @@ from torch import Tensor
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.files.capture import intrinsics_content, read_intrinsics
 from torchrefrac.files.fields import Fields, different_names, scene_fields, write_json
-from torchrefrac.files.ply import write_vertices
+from torchrefrac.files.ply import kind_of_coordinates, write_vertices
+from torchrefrac.files.swap import settle
 from torchrefrac.geometry import Rigid
 from torchrefrac.scene import Assessment, Cameras, Interfaces, Observations, Scene, SceneError, Views, mean_deviation
 
@@ -33,6 +34,7 @@ def load_cameras(run: str | Path) -> NamedCameras:
     Raises SceneError, with the file and the field, for anything that cannot be right.
     """
     run = Path(run)
+    settle(run)
     scene = read_cameras(run / CAMERAS if run.is_dir() else run)
     scene = scene.of_views(scene.views.registered)
     of, views = scene.camera_of(), scene.views
@@ -117,9 +119,11 @@ def write_points(
 ) -> None:
     """Write a coloured point cloud as binary PLY.
 
-    sigma: standard deviations of the points, written as the property `sigma` of the vertices (float32).
+    Coordinates are float32, or float64 where that would round away what is known of them, as far from the origin of a
+    map. sigma: standard deviations of the points, written as the property `sigma` of the vertices (float32).
     """
-    columns = [(name, "f4", value) for name, value in zip("xyz", points.T, strict=True)]
+    kind = kind_of_coordinates(points, sigma)
+    columns = [(name, kind, value) for name, value in zip("xyz", points.T, strict=True)]
     columns += [(name, "u1", value) for name, value in zip(("red", "green", "blue"), colors.T, strict=True)]
     if sigma is not None:
         columns.append(("sigma", "f4", sigma))

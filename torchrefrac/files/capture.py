@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import torch
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.files.fields import Fields, different_names, read_json
+from torchrefrac.files.masks import Masks
+from torchrefrac.files.photographs import check_photograph, read_grey
 from torchrefrac.scene import Cameras, Capture, CaptureError, Interfaces
 from torchrefrac.scene.interfaces import INDEX_RATIO_RANGE, MAX_INDEX_RATIO
 
@@ -22,10 +23,10 @@ OPTICAL_AXIS = [0.0, 0.0, 1.0]
 def load_capture(folder: str | Path) -> Capture:
     """Read `folder`/capture.json; the images lie in `folder`/images.
 
-    Raises CaptureError with one sentence for anything that cannot be right: a missing or unreadable image, an image of
-    another size, a missing or mistyped field, gravity or headings of some images only, gravity that is no unit vector,
-    a camera that looks at the sky, an index ratio below 1 or beyond any liquid, fewer than two images, a name given
-    twice.
+    Raises CaptureError with one sentence for anything that cannot be right: a missing, unreadable or damaged image, an
+    image of another size, a mask that fits no image or has another size, a missing or mistyped field, gravity or
+    headings of some images only, gravity that is no unit vector, a camera that looks at the sky, an index ratio below 1
+    or beyond any liquid, fewer than two images, a name given twice.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -44,7 +45,7 @@ def load_capture(folder: str | Path) -> Capture:
     has_gravity, has_heading = (any(name in image for image in images) for name in ("down_in_cam", "heading_deg"))
     heights = [_height(image) for image in images]
     down = [_gravity(image) if has_gravity else OPTICAL_AXIS for image in images]
-    return Capture(
+    capture = Capture(
         folder=folder,
         names=names,
         paths=paths,
@@ -59,6 +60,8 @@ def load_capture(folder: str | Path) -> Capture:
         heading=torch.tensor([_heading(image) if has_heading else 0.0 for image in images], dtype=torch.float64),
         has_heading=has_heading,
     )
+    Masks(capture).check()
+    return capture
 
 
 def capture_intrinsics(top: Fields) -> Intrinsics:
@@ -157,25 +160,9 @@ def _height(image: Fields) -> float | None:
 def _check_image(path: Path, intrinsics: Intrinsics) -> None:
     if not path.is_file():
         raise CaptureError(f"{path} does not exist, but capture.json lists it; add the image or remove its entry")
+    check_photograph(path)
     pixels = read_grey(path)
     height, width = pixels.shape
     if (width, height) != (intrinsics.width, intrinsics.height):
         wanted = f"{intrinsics.width}x{intrinsics.height}"
         raise CaptureError(f"{path} is {width}x{height}, but intrinsics.width and height say {wanted}")
-
-
-def read_grey(path: Path) -> cv2.typing.MatLike:
-    """8-bit grey image (height, width), as stored: no EXIF rotation."""
-    return _read(path, cv2.IMREAD_GRAYSCALE)
-
-
-def read_color(path: Path) -> cv2.typing.MatLike:
-    """8-bit BGR image (height, width, 3), as stored: no EXIF rotation."""
-    return _read(path, cv2.IMREAD_COLOR)
-
-
-def _read(path: Path, flags: int) -> cv2.typing.MatLike:
-    image = cv2.imread(str(path), flags | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
-        raise CaptureError(f"{path} cannot be read as an image; is it a complete JPEG, PNG or TIFF file?")
-    return image

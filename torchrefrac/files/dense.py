@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Shaped
+from jaxtyping import Shaped
 from torch import Tensor
 
 from torchrefrac.files.npz import read_arrays, write_arrays
-from torchrefrac.files.ply import DenseFileError, read_vertices, write_vertices
+from torchrefrac.files.ply import DenseFileError, kind_of_coordinates, read_vertices, write_vertices
 from torchrefrac.scene.dense import DenseCloud, DepthMap
 
 DEPTH_MAP_FORMAT = "torchrefrac-depth-map/1"
@@ -18,7 +18,6 @@ DEPTH_MAP = {"name": "U:", "step": "i:", **GRIDS, "length_unit": "U:"}
 POSITION, NORMAL, COLOR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
 UNIT = "length_unit"
 MOST_VIEWS = 65535
-FLOAT_STEPS = 1e6  # a float32 of this many standard deviations is rounded by 0.06 of one at most
 
 
 def write_dense(cloud: DenseCloud, path: str | Path) -> None:
@@ -28,7 +27,7 @@ def write_dense(cloud: DenseCloud, path: str | Path) -> None:
     of the header. Coordinates are float64 where one is more than a million times the median sigma, which float32 would
     round away.
     """
-    kind = _kind_of_coordinates(cloud.points, cloud.sigma)
+    kind = kind_of_coordinates(cloud.points, cloud.sigma)
     triples = ((POSITION, kind, cloud.points), (NORMAL, "f4", cloud.normals), (COLOR, "u1", cloud.colors))
     columns = [(name, k, column) for names, k, of in triples for name, column in zip(names, of.T, strict=True)]
     columns += [("views", "u2", cloud.views.clamp(max=MOST_VIEWS)), ("sigma", "f4", cloud.sigma)]
@@ -74,7 +73,7 @@ def write_depth_map(depth_map: DepthMap, path: str | Path) -> None:
     Points are float64 where `write_dense` would make them so.
     """
     valid = depth_map.valid
-    kinds = {"points": _kind_of_coordinates(depth_map.points[valid], depth_map.sigma[valid]), "valid": "?"}
+    kinds = {"points": kind_of_coordinates(depth_map.points[valid], depth_map.sigma[valid]), "valid": "?"}
     arrays = {"format": np.array(DEPTH_MAP_FORMAT)}
     for name in DEPTH_MAP:
         value = getattr(depth_map, name)
@@ -92,11 +91,3 @@ def load_depth_map(path: str | Path) -> DepthMap:
         **{name: torch.from_numpy(found[name]) for name in GRIDS},
         length_unit=str(found["length_unit"]),
     )
-
-
-def _kind_of_coordinates(points: Float[Tensor, "n 3"], sigma: Float[Tensor, " n"]) -> str:
-    """NumPy type of coordinates with standard deviations: float32 unless that rounds by more than sigma."""
-    exact = sigma[sigma > 0.0]
-    if not len(points) or not len(exact):
-        return "f4"
-    return "f8" if float(points.abs().max()) > FLOAT_STEPS * float(exact.median()) else "f4"

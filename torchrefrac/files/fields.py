@@ -2,28 +2,68 @@
 
 import json
 import math
+from collections import Counter
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from torchrefrac.atomic import replacing
+from torchrefrac.checks import TorchrefracError
 from torchrefrac.scene import CaptureError, SceneError
+
+MEGABYTE = 1_000_000
+MOST_MEGABYTES = 32  # of a file that people or other programs write; about a second's work
+MOST_MEGABYTES_OF_A_SCENE = 256  # of one that a run may have written
+MOST_OBJECTS = 100_000  # in one list
+MOST_DIGITS = 18  # of a whole number; a longer one is read as a float
 
 
 def read_json(
-    path: Path, missing: str = "does not exist; it describes the capture and must lie beside images/", **how: Any
+    path: Path,
+    missing: str = "does not exist; it describes the capture and must lie beside images/",
+    most: int = MOST_MEGABYTES,
 ) -> "Fields":
-    """Parse a JSON object; `missing`: what is said of a file that does not exist, `how`: as `json.loads` takes it."""
+    """Parse a JSON object of at most `most` megabytes, with or without a byte order mark.
+
+    missing: what is said of a file that does not exist. Whole numbers beyond the range of a float become infinite, and
+    are refused as such where they are read. Raises CaptureError with one sentence for whatever is wrong with the file.
+    """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), **how)
+        size = path.stat().st_size / MEGABYTE
+        if size > most:
+            raise CaptureError(f"{path} has {size:.0f} MB, but must have at most {most}; is it the right file?")
+        text = path.read_text(encoding="utf-8-sig")
+        content = json.loads(text, object_pairs_hook=_unique, parse_int=_whole_number)
     except FileNotFoundError:
         raise CaptureError(f"{path} {missing}") from None
     except IsADirectoryError:
         raise CaptureError(f"{path} is a folder, but must be a JSON file") from None
+    except RecursionError:
+        raise CaptureError(f"{path} is nested more deeply than anything that is read here; write it anew") from None
+    except _TwiceError as error:
+        raise CaptureError(f"{path}: {error} is given twice in one object, but names must differ") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise CaptureError(f"{path} is not valid JSON: {error}") from None
     return Fields(content, path, "")
+
+
+class _TwiceError(TorchrefracError):
+    """The name that an object has twice."""
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The object of these names and values. Raises _TwiceError where two names are the same."""
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        counts = Counter(name for name, _ in pairs)
+        raise _TwiceError(repr(next(name for name, count in counts.items() if count > 1)))
+    return content
+
+
+def _whole_number(text: str) -> int | float:
+    """Without Python's refusal of thousands of digits."""
+    return int(text) if len(text) <= MOST_DIGITS else float(text)
 
 
 def write_json(content: dict[str, object], path: Path) -> None:
@@ -81,7 +121,8 @@ class Fields:
     def flag(self, name: str) -> bool:
         value = self._content.get(name)
         if not isinstance(value, bool):
-            raise self.fail(name, f"is {value!r}, but must be true or false")
+            found = _kind(value) if isinstance(value, dict | list) else repr(value)
+            raise self.fail(name, f"is {found}, but must be true or false")
         return value
 
     def integer(self, name: str) -> int:
@@ -114,6 +155,8 @@ class Fields:
         value = self._get(name)
         if not isinstance(value, list):
             raise self.fail(name, f"is {_kind(value)}, but must be a list of objects")
+        if len(value) > MOST_OBJECTS:
+            raise self.fail(name, f"lists {len(value)}, but must list at most {MOST_OBJECTS}; split it into several")
         return [Fields(item, self._path, f"{self._label(name)}[{i}]") for i, item in enumerate(value)]
 
     def members(self, name: str) -> "dict[str, Fields]":
@@ -149,12 +192,12 @@ def _kind(value: Any) -> str:
 
 def different_names(images: Sequence[Fields]) -> tuple[str, ...]:
     """Those of images, which must differ."""
-    names: list[str] = []
+    names: dict[str, None] = {}
     for image in images:
         name = image.text("name")
         if name in names:
             raise image.fail("name", f"is {name!r}, which an image before it already has; names must differ")
-        names.append(name)
+        names[name] = None
     return tuple(names)
 
 
@@ -164,6 +207,6 @@ def scene_fields(path: Path) -> Generator[Fields]:
     if not path.is_file():
         raise SceneError(f"{path} is not a file, but must be one of JSON")
     try:
-        yield read_json(path)
+        yield read_json(path, most=MOST_MEGABYTES_OF_A_SCENE)
     except CaptureError as error:
         raise SceneError(str(error)) from None

@@ -1,5 +1,6 @@
 """NumPy archives, written whole and read with every array checked."""
 
+import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -11,6 +12,7 @@ from jaxtyping import Shaped
 from torchrefrac.atomic import replacing
 
 Array = Shaped[np.ndarray, "..."]
+DAMAGE = (OSError, ValueError, EOFError, TypeError, RuntimeError, struct.error, zipfile.BadZipFile, zlib.error)
 KINDS = {
     "n": ("numbers", "a finite number", np.float64),
     "i": ("whole numbers", "a whole number", np.int64),
@@ -41,7 +43,7 @@ def read_arrays(
     try:
         with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
             found = {name: archive[name] for name in ("format", *wanted) if name in archive}
-    except (OSError, ValueError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as problem:
+    except DAMAGE as problem:
         raise error(f"{path} is not a whole NumPy archive: {problem}") from None
     if file_format is not None and str(found.get("format", "")) != file_format:
         raise error(f"{path} has the format {str(found.get('format', ''))!r}, but must have {file_format!r}")

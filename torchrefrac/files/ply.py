@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
@@ -18,10 +18,25 @@ NEWER_NAMES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32",
 TYPES = {name: kind for kind, name in (*NAMES.items(), *zip(KINDS, NEWER_NAMES, strict=True))}
 BYTE_ORDERS = {"format binary_little_endian 1.0": "<", "format binary_big_endian 1.0": ">"}
 LONGEST_HEADER = 1 << 16
+FLOAT_STEPS = 1e6  # a float32 of this many standard deviations is rounded by 0.06 of one at most
+FLOAT_SPREADS = 100.0  # a float32 of this many spreads of all points is rounded by 6e-6 of one at most
 
 
 class DenseFileError(TorchrefracError, ValueError):
     """A file of a dense reconstruction is damaged or of another kind; the message names the file."""
+
+
+def kind_of_coordinates(points: Float[Tensor, "n 3"], sigma: Float[Tensor, " n"] | None = None) -> str:
+    """NumPy type of coordinates: float32 unless that rounds by more than a part of their standard deviations or, where
+    these are not known, of the spread of the points."""
+    if not len(points):
+        return "f4"
+    exact = points.new_zeros(0) if sigma is None else sigma[(sigma > 0.0) & sigma.isfinite()]
+    if len(exact):
+        finest = FLOAT_STEPS * float(exact.median())
+    else:
+        finest = FLOAT_SPREADS * float((points - points.median(dim=0).values).norm(dim=-1).median())
+    return "f8" if float(points.abs().max()) > finest else "f4"
 
 
 def write_vertices(

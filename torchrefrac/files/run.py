@@ -10,6 +10,7 @@ from typing import Any, Self, TypeGuard
 
 from torchrefrac.atomic import replacing
 from torchrefrac.errors import TorchrefracError
+from torchrefrac.files.swap import settle
 
 METRICS = "metrics.json"
 DENSE_CLOUD = "dense.ply"
@@ -80,6 +81,7 @@ class RunRecord:
     @classmethod
     def read(cls, folder: Path) -> Self:
         """Read `folder`/metrics.json. Raises RunRecordError where it is missing or damaged."""
+        settle(folder)
         path = folder / METRICS
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
@@ -87,7 +89,7 @@ class RunRecord:
             raise RunRecordError(f"{path} is missing") from None
         except OSError as error:
             raise RunRecordError(f"{path} cannot be read: {error.strerror}") from None
-        except ValueError as error:  # no JSON, or no UTF-8
+        except (ValueError, RecursionError) as error:  # no JSON, or no UTF-8
             raise RunRecordError(f"{path} is damaged: {' '.join(str(error).split())}") from None
         if not isinstance(content, dict):
             raise RunRecordError(f"{path} is damaged: it must be an object")

@@ -1,10 +1,8 @@
 """Reading `survey.json` and checking it before anything is computed."""
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -45,17 +43,9 @@ def read_survey(path: str | Path, names: Sequence[str]) -> Survey:
     """
     path = Path(path)
 
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        counts = Counter(name for name, _ in pairs)
-        for name, count in counts.items():
-            if count > 1:
-                raise SurveyError(f"{path}: {name!r} is given twice in one object, but names must differ")
-        return dict(pairs)
-
     try:
-        # Whole numbers beyond the range of a float become infinite, and are refused as such.
         missing = "does not exist, but must say what was measured on site"
-        top = read_json(path, missing, object_pairs_hook=unique, parse_int=float)
+        top = read_json(path, missing)
         top.only("format", "pixel_origin", "images", "marks", "scale_bars")
         top.must_be("format", FORMAT)
         shift = pixel_shift(top, top.text("pixel_origin") if "pixel_origin" in top else "corner")

@@ -9,6 +9,7 @@ import torch
 from torchrefrac.files.cameras import CAMERAS, read_cameras
 from torchrefrac.files.colmap.model import find_colmap, read_colmap
 from torchrefrac.files.npz import read_arrays, write_arrays
+from torchrefrac.files.swap import settle
 from torchrefrac.scene import Observations, Scene, SceneError
 from torchrefrac.scene.scene import require_index
 
@@ -30,6 +31,7 @@ def read_scene(folder: str | Path) -> Scene:
     run where it holds cameras.json and tracks.npz. Raises SceneError, and says what it looked for, where there is
     neither."""
     folder = Path(folder)
+    settle(folder)
     if not folder.is_dir():
         raise SceneError(f"{folder} is not a folder; give that of a run or of a COLMAP model")
     has = {name: (folder / name).is_file() for name in (CAMERAS, TRACKS)}
@@ -52,6 +54,7 @@ def read_run(folder: str | Path) -> Scene:
     at z = 0. Raises SceneError, with the file and the field, for anything that cannot be right.
     """
     folder = Path(folder)
+    settle(folder)
     for name in (CAMERAS, TRACKS):
         if not (folder / name).is_file():
             raise SceneError(f"{folder} holds no {name}, which a run has; reconstruct again, or name its run folder")

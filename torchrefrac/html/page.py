@@ -13,6 +13,8 @@ import cv2
 
 from torchrefrac import __version__
 from torchrefrac.atomic import replacing
+from torchrefrac.files.photographs import read_color
+from torchrefrac.scene import CaptureError
 
 SHADES = 256
 DOTS_PER_INCH, FILE_DOTS_PER_INCH = 140, 150
@@ -78,8 +80,11 @@ def picture(path: Path, width: int) -> Picture:
 
 def thumbnail(path: Path) -> str:
     """A photograph as a small JPEG; empty where it cannot be read."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if path.is_file() else None
-    if image is None:
+    if not path.is_file():
+        return ""
+    try:
+        image = read_color(path)
+    except CaptureError:
         return ""
     height, width = image.shape[:2]
     scale = min(1.0, THUMBNAIL_PIXELS / max(height, width))

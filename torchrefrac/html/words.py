@@ -7,6 +7,7 @@ from typing import Any
 from torchrefrac.figures.plotting import UNKNOWN, rounded
 from torchrefrac.figures.side_views import TITLES
 from torchrefrac.files.run import RunRecord, RunStatus
+from torchrefrac.files.swap import home
 
 MODELS = {
     "none": "as if there were no water",
@@ -118,4 +119,4 @@ def _listed(words: Sequence[str]) -> str:
 def job_name(record: RunRecord) -> str:
     """What a run is called beside others: scene and model."""
     title = model_title(record.model) if record.model else ""
-    return ": ".join(filter(None, (record.scene, title))) or record.folder.resolve().name
+    return ": ".join(filter(None, (record.scene, title))) or home(record.folder.resolve()).name

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchrefrac.checks import Range, require_ranges
 from torchrefrac.optim.elimination import Elimination
 from torchrefrac.optim.plan import REDUCED_SIZE
 
@@ -26,6 +27,10 @@ class IterativeOptions:
 
     tolerance: float = 1e-6
     max_iterations: int = 500
+
+    def __post_init__(self) -> None:
+        bounds = {"tolerance": Range(at_least=0.0, at_most=1.0), "max_iterations": Range(at_least=1, at_most=1_000_000)}
+        require_ranges(self, bounds)
 
 
 def solve_iteratively(

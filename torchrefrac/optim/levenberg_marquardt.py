@@ -15,8 +15,16 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchrefrac.checks import Range, require_ranges
+
 State = TypeVar("State")
 Status = Literal["converged", "max_iterations", "stalled", "not_finite"]
+RANGES = {
+    "max_iterations": Range(at_least=0, at_most=1_000_000),
+    "function_tolerance": Range(at_least=0.0, at_most=1.0),
+    "initial_damping": Range(at_least=0.0, at_most=1e9),
+    "max_damping": Range(above=0.0, at_most=1e30),
+}
 
 
 class Step(NamedTuple):
@@ -58,6 +66,9 @@ class LevenbergMarquardtOptions:
     function_tolerance: float = 1e-8
     initial_damping: float = 1e-4
     max_damping: float = 1e12
+
+    def __post_init__(self) -> None:
+        require_ranges(self, RANGES)
 
 
 @dataclass(frozen=True)

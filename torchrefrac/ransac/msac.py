@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.checks import require
+from torchrefrac.checks import Range, require_ranges
 
 SCORE_ELEMENTS = 1 << 15
 Status = Literal["success", "too_few_data", "no_consensus", "degenerate"]
@@ -56,6 +56,17 @@ class Estimator(Protocol):
         ...
 
 
+RANGES = {
+    "max_error": Range(above=0.0, at_most=1e6),
+    "confidence": Range(at_least=0.0),
+    **dict.fromkeys(
+        ("batch_size", "max_batch_size", "screening_size", "leaders"), Range(at_least=1, at_most=1_000_000)
+    ),
+    **dict.fromkeys(("max_samples", "min_inliers"), Range(at_least=1, at_most=1e9)),
+    "screening_factor": Range(at_least=1.0, at_most=1e6),
+}
+
+
 @dataclass(frozen=True)
 class RansacOptions:
     """max_error in the estimator's unit (pixels for poses); confidence that a good enough sample was drawn.
@@ -76,13 +87,9 @@ class RansacOptions:
     min_inliers: int = 12
 
     def __post_init__(self) -> None:
-        require(self.max_error, "max_error", above=0.0)
-        require(self.confidence, "confidence", at_least=0.0)
+        require_ranges(self, RANGES)
         if self.confidence >= 1.0:
             raise ValueError(f"confidence is {self.confidence:g}, but must be below 1: no number of samples is certain")
-        for name in ("batch_size", "max_batch_size", "max_samples", "screening_size", "leaders", "min_inliers"):
-            require(getattr(self, name), name, at_least=1)
-        require(self.screening_factor, "screening_factor", at_least=1.0)
 
 
 @dataclass(frozen=True)

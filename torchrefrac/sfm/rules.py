@@ -9,7 +9,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from torchrefrac.bundle import BundleOptions, Term
-from torchrefrac.checks import require
+from torchrefrac.checks import Range, require_ranges
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.ransac import RansacOptions
 from torchrefrac.scene import Part
@@ -17,6 +17,15 @@ from torchrefrac.sfm.pose import PoseInitializer
 
 Measurements = Callable[[Part], Sequence[Term]]
 MIN_OBSERVATIONS = 6
+MAX_ERROR = Range(above=0.0, at_most=1e6)
+SFM_RANGES = {
+    **dict.fromkeys(("min_pair_inliers", "min_registration_inliers"), Range(at_least=1, at_most=1_000_000)),
+    **dict.fromkeys(("min_initial_angle_deg", "min_angle_deg"), Range(at_least=0.0, at_most=180.0)),
+    "max_error": MAX_ERROR,
+    "min_track_length": Range(at_least=2, at_most=1_000_000),
+    "global_growth": Range(at_least=1.0, at_most=1e6),
+    "final_rounds": Range(at_least=0, at_most=1000),
+}
 
 
 def nothing_measured(part: Part) -> Sequence[Term]:
@@ -74,6 +83,9 @@ class SfmOptions:
     global_growth: float = 1.1
     final_rounds: int = 3
 
+    def __post_init__(self) -> None:
+        require_ranges(self, SFM_RANGES)
+
     def rules(
         self, poses: PoseInitializer, measurements: Measurements = nothing_measured, seed: int | torch.Generator = 0
     ) -> Rules:
@@ -104,8 +116,7 @@ class ReadjustOptions:
     )
 
     def __post_init__(self) -> None:
-        require(self.max_error, "max_error", above=0.0)
-        require(self.rounds, "rounds", at_least=1)
+        require_ranges(self, {"max_error": MAX_ERROR, "rounds": Range(at_least=1, at_most=1000)})
 
     def rules(self, measurements: Measurements, min_track_length: int | Int[Tensor, " n"]) -> Rules:
         """By what a whole scene is adjusted again."""

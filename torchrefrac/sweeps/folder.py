@@ -37,6 +37,7 @@ class SweepFolder:
         self.path, self.jobs = path, _in_folder(jobs, path)
         self.complete = [job for job in self.jobs if record_of(job, path).is_complete]
         self._lost: dict[str, str] = {}
+        self._before: dict[str, bytes | None] = {}
 
     def require_same_settings(self, options: Mapping[str, Mapping[str, Any] | str]) -> None:
         """Raise SweepError where a complete job was made with other settings than it would be now.
@@ -68,11 +69,11 @@ class SweepFolder:
             self.save()
 
     def make_ready(self, job: Job) -> bool:
-        """Make the job's folder, without a record of an earlier attempt; False where that cannot be done."""
+        """Make the job's folder, and remember the record of an earlier attempt; False where that cannot be done."""
         run = self.path / job.folder
         try:
             run.mkdir(parents=True, exist_ok=True)
-            (run / METRICS).unlink(missing_ok=True)
+            self._before[job.folder] = self._record(job)
             with tempfile.TemporaryFile(dir=run):
                 return True
         except OSError as error:
@@ -80,8 +81,12 @@ class SweepFolder:
             return False
 
     def has_record(self, job: Job) -> bool:
-        """Whether the job's metrics.json is there."""
-        return (self.path / job.folder / METRICS).is_file()
+        """Whether the job has left a metrics.json since it was made ready."""
+        return self._record(job) not in (None, self._before.get(job.folder))
+
+    def _record(self, job: Job) -> bytes | None:
+        path = self.path / job.folder / METRICS
+        return path.read_bytes() if path.is_file() else None
 
     def fail(self, job: Job, reason: str, model: str, scene: str) -> None:
         """Record a failure that the job could not record itself; model and scene are the defaults."""

@@ -38,9 +38,9 @@ def plan(overrides: Sequence[Sequence[str]], models: Sequence[str]) -> tuple[Job
 
 
 def by_name(overrides: Iterable[str]) -> dict[str, str]:
-    """The overrides of a job by their names, as metrics.json keeps them."""
+    """The overrides of a job by their names, as metrics.json keeps them: without the quotes around a text."""
     pairs = (text.partition("=") for text in overrides)
-    return {key: value for key, _, value in pairs if key not in NO_SETTINGS}
+    return {key: _unquoted(value) for key, _, value in pairs if key not in NO_SETTINGS}
 
 
 def read_sweep(folder: Path) -> tuple[Job, ...] | None:
@@ -104,6 +104,11 @@ def ending(position: int, total: int, job: Job, record: RunRecord) -> str:
 def opening(position: int, total: int, job: Job) -> str:
     """Which of the jobs it is, and what it does."""
     return f"{position:>{len(str(total))}}/{total}  {job.label}"
+
+
+def _unquoted(value: str) -> str:
+    is_quoted = len(value) > 1 and value[0] == value[-1] == "'"
+    return value[1:-1].replace("\\'", "'") if is_quoted else value
 
 
 def _labels(jobs: Sequence[Sequence[str]]) -> list[str]:

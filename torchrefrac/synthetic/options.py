@@ -9,11 +9,13 @@ from typing import Any
 
 import torch
 
-from torchrefrac.checks import require, require_between
+from torchrefrac.checks import Range, require, require_between, require_ranges
 from torchrefrac.files.capture import MAX_INDEX_RATIO
 
 MAX_SAMPLES = 16
 MAX_IMAGES = 500
+LONGEST = 1e6  # of what a scene measures, in any unit
+MAX_SEED = 2**56  # a hundred times as much still fits into 64 bits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +29,7 @@ class WaveOptions:
 
     def __post_init__(self) -> None:
         require_between(self.rms_slope, "rms_slope", 0.0, 0.3)
-        require(self.longest, "longest", above=0.0)
+        require(self.longest, "longest", above=0.0, at_most=LONGEST)
         require_between(self.components, "components", 1, 64)
 
 
@@ -46,6 +48,7 @@ class CameraOptions:
         require_between(self.fov_deg, "fov_deg", 1.0, 150.0, "degrees")
         if len(self.distortion) != 5 or not all(map(math.isfinite, self.distortion)):
             raise ValueError(f"distortion is {list(self.distortion)}, but must be five numbers: k1, k2, p1, p2, k3")
+        require_ranges(self, {"distortion": Range(at_least=-1e6, at_most=1e6)})
 
     @property
     def focal(self) -> float:
@@ -63,8 +66,7 @@ class SensorOptions:
 
     def __post_init__(self) -> None:
         require_between(self.samples, "samples", 1, MAX_SAMPLES)
-        require(self.blur, "blur", at_least=0.0)
-        require(self.noise, "noise", at_least=0.0)
+        require_ranges(self, {"blur": Range(at_least=0.0, at_most=100.0), "noise": Range(at_least=0.0, at_most=255.0)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +87,7 @@ class InertialOptions:
         if len(self.gravity_bias_deg) != 2 or not all(abs(turn) <= 30.0 for turn in self.gravity_bias_deg):
             given = list(self.gravity_bias_deg)
             raise ValueError(f"gravity_bias_deg is {given}, but must be two angles up to 30 degrees")
-        if self.heading_sigma_deg is not None:
-            require(self.heading_sigma_deg, "heading_sigma_deg", at_least=0.0)
+        require_ranges(self, {"heading_sigma_deg": Range(at_least=0.0, at_most=180.0)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,6 +124,7 @@ class SyntheticOptions:
         if len(self.plane_tilt_deg) != 2 or not all(abs(turn) <= 45.0 for turn in self.plane_tilt_deg):
             raise ValueError(f"plane_tilt_deg is {list(self.plane_tilt_deg)}, but must be two angles up to 45 degrees")
         require_between(self.reflection, "reflection", 0.0, 255.0)
+        require_ranges(self, {"seed": Range(at_least=0, at_most=MAX_SEED)})
 
 
 def require_images(images: int) -> None:
@@ -135,7 +137,7 @@ def require_heights(heights: Sequence[float]) -> None:
     if not heights:
         raise ValueError("heights is empty, but must be one or more heights above the water, taken in turn")
     for height in heights:
-        require(height, "heights", above=0.0)
+        require(height, "heights", above=0.0, at_most=LONGEST)
 
 
 def seeded(seed: int, *purpose: str | int) -> torch.Generator:

@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.checks import require
-from torchrefrac.synthetic.options import SyntheticOptions, require_heights, require_images
+from torchrefrac.checks import Range, require_ranges
+from torchrefrac.synthetic.options import LONGEST, SyntheticOptions, require_heights, require_images
 from torchrefrac.synthetic.paths import look_at, ring, rolls
 from torchrefrac.synthetic.patterns import sand
 from torchrefrac.synthetic.scenes.mesh_colours import coloured
@@ -58,9 +58,7 @@ class MeshOptions(SyntheticOptions):
         super().__post_init__()
         if not self.file:
             raise ValueError("file is empty, but must be the path of a mesh")
-        require(self.scale, "scale", above=0.0)
-        if self.depth is not None:
-            require(self.depth, "depth", above=0.0)
+        require_ranges(self, {"scale": Range(above=0.0, at_most=1e9), "depth": Range(above=0.0, at_most=LONGEST)})
         require_images(self.images)
         if self.heights is not None:
             require_heights(self.heights)

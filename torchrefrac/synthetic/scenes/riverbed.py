@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchrefrac.checks import require, require_between
 from torchrefrac.geometry.triangle_mesh import TriangleMesh
-from torchrefrac.synthetic.options import MAX_IMAGES, SyntheticOptions
+from torchrefrac.synthetic.options import LONGEST, MAX_IMAGES, SyntheticOptions
 from torchrefrac.synthetic.paths import grid, look_at, ring, rolls
 from torchrefrac.synthetic.scenes.ground import bed, boulders, colours, places, with_boulders
 from torchrefrac.synthetic.stage import Piece, Stage
@@ -52,7 +52,7 @@ class RiverbedOptions(SyntheticOptions):
         for name, most in (("obliques", MAX_IMAGES), ("boulders", 5000)):
             require_between(getattr(self, name), name, 0, most)
         if self.position_sigma is not None:
-            require(self.position_sigma, "position_sigma", above=0.0)
+            require(self.position_sigma, "position_sigma", above=0.0, at_most=LONGEST)
 
     @property
     def view(self) -> tuple[float, float]:
