@@ -32,9 +32,8 @@ def _run(torchrefrac, folder, *more):
     return torchrefrac("scene=capture", f"scene.path={folder}", "features.max_features=800", "out=run", *more)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=() if n[:2] == "04" else pytest.mark.slow) for n in CONTRADICTED]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONTRADICTED)
 def test_what_is_stated_wrongly_is_named_and_does_no_harm(torchrefrac, case, metrics, tmp_path, name):
     ended = _run(torchrefrac, case(name))
 

@@ -72,6 +72,7 @@ def test_an_image_whose_gravity_is_flipped_gets_the_vertical_that_refraction_sho
     assert torch.equal(capture.down_in_cam[others], survey.capture.down_in_cam[others])
 
 
+@pytest.mark.slow
 def test_of_a_survey_with_all_axes_mixed_up_all_verticals_are_found(stated, generator):
     survey = stated(lambda down: down * down.new_tensor((1.0, -1.0, 1.0)))
     suspects, capture = _checked(survey, generator)
