@@ -5,9 +5,6 @@ import shutil
 
 import pytest
 
-from tests.conftest import SHARED_DATA
-
-CASES = SHARED_DATA.parent / "cases"
 CONTRADICTED = {
     "02-heights-offset": ("height_contradicts", [], "too large by 20 cm"),
     "04-gravity-one-image-flipped": ("gravity_contradicts", ["cam02.jpg"], "55.1 degrees"),
@@ -16,26 +13,14 @@ CONTRADICTED = {
 MIXED_UP = {"x": (-1.0, 1.0, 1.0), "y": (1.0, -1.0, 1.0)}
 
 
-@pytest.fixture
-def case():
-    """`case(name)`: the folder of a shared case."""
-
-    def folder(name):
-        if not (CASES / name).is_dir():
-            pytest.skip(f"{CASES / name} is not there")
-        return CASES / name
-
-    return folder
-
-
 def _run(torchrefrac, folder, *more):
     return torchrefrac("scene=capture", f"scene.path={folder}", "features.max_features=800", "out=run", *more)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CONTRADICTED)
-def test_what_is_stated_wrongly_is_named_and_does_no_harm(torchrefrac, case, metrics, tmp_path, name):
-    ended = _run(torchrefrac, case(name))
+def test_what_is_stated_wrongly_is_named_and_does_no_harm(torchrefrac, shared_case, metrics, tmp_path, name):
+    ended = _run(torchrefrac, shared_case(name))
 
     assert ended.status == 0
     code, images, words = CONTRADICTED[name]
@@ -49,8 +34,8 @@ def test_what_is_stated_wrongly_is_named_and_does_no_harm(torchrefrac, case, met
 
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", MIXED_UP)
-def test_axes_that_are_mixed_up_in_all_images_are_found_out(torchrefrac, case, metrics, tmp_path, axis):
-    source = case("02-heights-offset")
+def test_axes_that_are_mixed_up_in_all_images_are_found_out(torchrefrac, shared_case, metrics, tmp_path, axis):
+    source = shared_case("02-heights-offset")
     content = json.loads((source / "capture.json").read_text())
     for image in content["images"]:
         image["height"] -= 20.0
@@ -68,8 +53,12 @@ def test_axes_that_are_mixed_up_in_all_images_are_found_out(torchrefrac, case, m
 
 
 @pytest.mark.slow
-def test_near_nadir_without_gravity_the_vertical_is_right_to_what_is_said_of_it(torchrefrac, case, metrics, tmp_path):
-    assert torchrefrac("scene=capture", f"scene.path={case('15-relief-nadir-no-gravity')}", "out=run").status == 0
+def test_near_nadir_without_gravity_the_vertical_is_right_to_what_is_said_of_it(
+    torchrefrac, shared_case, metrics, tmp_path
+):
+    folder = shared_case("15-relief-nadir-no-gravity")
+
+    assert torchrefrac("scene=capture", f"scene.path={folder}", "out=run").status == 0
 
     found = metrics(tmp_path / "run")
     assert [warning["code"] for warning in found["warnings"]] == ["gravity_undetermined"]

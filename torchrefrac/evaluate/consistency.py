@@ -34,9 +34,9 @@ AIR = 1.02
 def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     """All of them, those first that others may follow from. `scene`: what came out, with its assessment; `stated`: what
     went in, the same views in the same order."""
-    if scene.index_ratio <= 1.0:
-        return (*_duplicates(stated), *_weak_images(scene))
     about_images = (*_duplicates(stated), *_weak_images(scene))
+    if scene.index_ratio <= 1.0:
+        return about_images
     return (*_given(scene), *_gravity(scene, stated), *_heights(scene, stated), *about_images)
 
 

@@ -65,7 +65,7 @@ def extract_sift(path: Path, options: SiftOptions, used: Bool[Tensor, "height wi
     image = read_color(path)
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     share = 1.0 if used is None else float(used.double().mean())
-    enough = min(share * grey.size / PIXELS_A_KEYPOINT, ENOUGH, options.max_features or ENOUGH)
+    enough = min(share * grey.size / PIXELS_A_KEYPOINT, ENOUGH, options.max_features)
     threshold = options.contrast_threshold
     keypoints, descriptors = _detect(grey, options, threshold, used)
     while len(keypoints) < enough and threshold > FAINTEST * options.contrast_threshold:
@@ -99,7 +99,7 @@ def _detect(
     else:
         keypoints = _usable(sift.detect(grey, None), used, grey)
         keypoints.sort(key=lambda keypoint: -keypoint.response)
-        keypoints, descriptors = sift.compute(grey, keypoints[: options.max_features or None])
+        keypoints, descriptors = sift.compute(grey, keypoints[: options.max_features])
     return keypoints, descriptors if len(keypoints) else np.zeros((0, 128), dtype=np.float32)
 
 

@@ -129,22 +129,11 @@ class _Growth:
         return triangulate(self._filter(scene, self.rules), self.rules)[0]
 
     def finish(self, scene: Scene) -> Scene:
-        """Adjust to convergence, with only the points that enough views see."""
+        """Adjust to convergence, with only the points that enough views see; and again without the gravity of views
+        that the others contradict, for as long as there are such; without any if most are contradicted."""
         length = affordable_length(scene, self.rules, self.options.min_track_length)
-        rules, most = replace(self.rules, min_track_length=length), self.rules.bundle.solver.max_iterations
-        with self.recorder.meter(self.options.final_rounds * most, "adjusting", "") as advance:
-            for _ in range(self.options.final_rounds):
-                scene = self._filter(triangulate(scene, rules)[0], rules)
-                steps = Steps(self.journal.step, most, advance)
-                scene, outcome = adjust(scene, rules, steps)
-                steps.end()
-                self._record(scene, outcome)
-            scene = self._filter(scene, rules)
-        return self._without_wrong_gravity(scene, rules)
-
-    def _without_wrong_gravity(self, scene: Scene, rules: Rules) -> Scene:
-        """Adjusted again without the gravity of views that the others contradict, for as long as there are such; of
-        none if most are contradicted."""
+        rules = replace(self.rules, min_track_length=length)
+        scene = self._converged(scene, rules)
         for _ in range(self.options.final_rounds if scene.index_ratio > 1.0 else 0):
             wrong = contradicted_gravity(scene, self.capture.down_in_cam, self.down_sigma)
             if not bool(wrong.any()):
@@ -152,11 +141,20 @@ class _Growth:
             unknown = wrong | self.down_sigma.isinf()
             most = 2 * int((unknown & scene.views.registered).sum()) > scene.views.num_registered
             self.down_sigma = torch.where(unknown | most, torch.inf, self.down_sigma)
-            for _ in range(self.options.final_rounds):
-                scene, outcome = adjust(scene, rules, self.journal.step)
-                self._record(scene, outcome)
-                scene = self._filter(triangulate(scene, rules)[0], rules)
+            scene = self._converged(scene, rules)
         return scene
+
+    def _converged(self, scene: Scene, rules: Rules) -> Scene:
+        """Points and observations judged and everything adjusted, in turn, until little changes any more."""
+        most = rules.bundle.solver.max_iterations
+        with self.recorder.meter(self.options.final_rounds * most, "adjusting", "") as advance:
+            for _ in range(self.options.final_rounds):
+                scene = self._filter(triangulate(scene, rules)[0], rules)
+                steps = Steps(self.journal.step, most, advance)
+                scene, outcome = adjust(scene, rules, steps)
+                steps.end()
+                self._record(scene, outcome)
+        return self._filter(scene, rules)
 
     def _filter(self, scene: Scene, rules: Rules) -> Scene:
         """Drop points that do not fit, and views that are left with next to none."""
