@@ -101,6 +101,9 @@ def test_all_of_it_is_the_inverse_of_the_whole_matrix_of_derivatives(case_of, na
     columns[~reduced] = size + torch.arange(3 * int((~reduced).sum())).view(-1, 3)
     columns[reduced] = layout.first_point + torch.arange(3 * int(reduced.sum())).view(-1, 3)
     _assert_same(known.points, expected[columns[:, :, None], columns[:, None]])
+    of_points = jacobian[:, size:].mT @ jacobian[:, size:]
+    alone = SIGMA**2 * torch.linalg.inv(of_points)[columns[:, :, None] - size, columns[:, None] - size]
+    _assert_same(known.relative[~reduced], alone[~reduced])
     deviation = expected.diagonal().clamp(min=0.0).sqrt()
     for unknown, sigma in known.intrinsics.items():
         _assert_same(sigma, deviation[layout.intrinsics_columns(unknown, layout.cameras)])
@@ -188,12 +191,12 @@ def test_points_that_are_fixed_have_no_variance_and_the_camera_that_of_a_resecti
     _assert_same(known.covariance, SIGMA**2 * torch.linalg.inv(poses.T @ poses))
 
 
-def test_the_sigma_of_a_point_is_the_root_of_its_mean_variance(case_of):
+def test_the_sigma_of_a_point_is_that_along_its_worst_axis(case_of):
     planted, problem = case_of("a bar")
 
     known = uncertainty(problem, planted.truth, SIGMA)
 
-    _assert_same(known.point_sigma, (torch.einsum("nii->n", known.points) / 3.0).sqrt())
+    _assert_same(known.point_sigma, torch.stack([torch.linalg.matrix_norm(c, 2).sqrt() for c in known.points]))
 
 
 @pytest.mark.parametrize("name", ["free", "free water", "control points and a bar"])

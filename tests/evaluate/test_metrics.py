@@ -111,7 +111,7 @@ def test_what_is_known_of_the_errors_is_in_the_summary_with_its_units(perfect):
     sigma = torch.tensor((0.3, 0.1, 0.2), dtype=DOUBLE)
     known = Assessment(
         pixel_sigma=0.41,
-        point_sigma=sigma,
+        point_covariance=torch.eye(3, dtype=DOUBLE) * sigma.square()[:, None, None],
         center_sigma=10.0 * sigma,
         index_ratio_sigma=0.002,
         determined=("index ratio: determined to 0.002", "scale, relative: not determined"),
@@ -134,5 +134,5 @@ def test_where_nothing_is_known_of_the_errors_the_summary_has_nothing(perfect):
     keys |= {"determined", "held"}
 
     assert not keys & set(summarize(perfect))
-    none = torch.zeros(0, dtype=DOUBLE)
-    assert not keys & set(summarize(replace(perfect, assessment=Assessment(point_sigma=none, center_sigma=none))))
+    none = Assessment(point_covariance=torch.zeros(0, 3, 3, dtype=DOUBLE), center_sigma=torch.zeros(0, dtype=DOUBLE))
+    assert not keys & set(summarize(replace(perfect, assessment=none)))

@@ -42,7 +42,7 @@ def test_noise_and_errors_are_found_as_large_as_they_are(adjusted):
     assert found.center_sigma is not None
     assert found.center_sigma.shape == (6,)
     ratio = (scene.points - survey.basin.points).square().mean(dim=-1).sqrt().median() / found.point_sigma.median()
-    assert 0.5 < float(ratio) < 2.0
+    assert 0.4 < float(ratio) < 1.0  # of a coordinate, in the mean of the axes, over the worst axis
     assert found.index_ratio_sigma is None
     assert found.fixed == {}
 

@@ -37,6 +37,21 @@ def test_slopes_have_the_root_mean_square_that_was_asked_for(waves, draw):
     assert float(slope.square().sum(dim=-1).mean().sqrt()) == pytest.approx(0.1, rel=0.02)
 
 
+def test_waves_that_stand_still_are_the_same_at_all_moments(waves):
+    assert waves.at(7) is waves
+
+
+def test_moving_waves_have_other_phases_at_every_moment(draw):
+    moving = Waves.draw(WaveOptions(rms_slope=0.1, longest=40.0, components=6, moving=True), seed=3)
+    places = draw.uniform(-4000.0, 4000.0, 100_000, 2)
+
+    first, second = (moving.at(moment).surface(places)[1] for moment in (0, 1))
+
+    assert torch.equal(moving.at(1).surface(places)[1], second)
+    assert float(second.square().sum(dim=-1).mean().sqrt()) == pytest.approx(0.1, rel=0.02)
+    assert float((first * second).sum(dim=-1).mean()) == pytest.approx(0.0, abs=0.006)
+
+
 def test_the_gradient_is_the_derivative_of_the_height(waves, draw):
     places = draw.uniform(-50.0, 50.0, 30, 2).requires_grad_()
 

@@ -102,21 +102,28 @@ class BundleProblem:
 
     def squared_errors(self, scene: Scene) -> Float[Tensor, " possible"]:
         """Squared reprojection errors of the possible observations, square pixels."""
-        model = replace(self.rows_of, loss="squared")
-        every = [observation_rows(model, scene, seen)[0][:, -1] for seen in (self.seen, self.seen_reduced)]
-        square = torch.cat(every, dim=-1).square().sum(dim=0)
+        square = torch.cat([self.errors(scene, seen).square().sum(dim=0) for seen in (self.seen, self.seen_reduced)])
         return square[square > 0.0]
+
+    def errors(self, scene: Scene, seen: Observations) -> Float[Tensor, "2 k"]:
+        """Projections minus pixels of some of the observations, by the root of their weights, zero where impossible."""
+        return observation_rows(replace(self.rows_of, loss="squared"), scene, seen)[0][:, -1]
 
     @property
     def unknowns_per_residual(self) -> float:
         """Free unknowns over numbers measured."""
-        layout = self.layout
-        unknowns = layout.size
-        if layout.fixed is not None:
-            unknowns += int((~layout.fixed).sum()) - REDUCED_SIZE * layout.num_views
-        if not layout.fix_points:
-            unknowns += 3 * len(layout.eliminated_points)
+        unknowns = self.reduced_unknowns
+        if not self.layout.fix_points:
+            unknowns += 3 * len(self.layout.eliminated_points)
         return unknowns / max(2 * (len(self.seen) + len(self.seen_reduced)), 1)
+
+    @property
+    def reduced_unknowns(self) -> int:
+        """How many reduced unknowns are free."""
+        layout = self.layout
+        if layout.fixed is None:
+            return layout.size
+        return layout.size + int((~layout.fixed).sum()) - REDUCED_SIZE * layout.num_views
 
     def retract(self, state: Scene, step: Step) -> Scene:
         return self.layout.retract(state, step)

@@ -6,69 +6,102 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchrefrac.bundle.common_errors import CommonErrors, common_errors
 from torchrefrac.bundle.layout import Layout
+from torchrefrac.bundle.point_noise import point_variances
 from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.optim import Covariance, LossName, robust
-from torchrefrac.scene import Scene, mean_deviation
+from torchrefrac.scene import Scene, largest_deviation
+
+MOST_TAKEN = 0.99
+"""Share of the numbers measured that unknowns can take."""
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """pixel_sigma: the standard deviation of a keypoint's coordinate, pixels, that all follow from.
+    """pixel_sigma: the standard deviation of a keypoint's coordinate, pixels, of the typical point.
 
-    pose: covariances of (w, dc), R <- exp([w]x) R, radians, and of the centre. points: covariances. intrinsics: by name
-    of what was refined, standard deviations. index_ratio and planes: standard deviations, of planes of the two tilts
-    (radians) and the height; zero where fixed. If the gauge was free these are relative to it (inner constraints on the
-    views). covariance: of all reduced unknowns; layout: where they are.
+    pose: covariances of (w, dc), R <- exp([w]x) R, radians, and of the centre. points: covariances, with all that
+    cameras, water and the errors of the model add; relative: without that, as if cameras and water were known. intrinsics:
+    by name of what was refined, standard deviations. index_ratio and planes: standard deviations, of planes of the two
+    tilts (radians) and the height; zero where fixed. If the gauge was free these are relative to it (inner constraints
+    on the views). covariance: of all reduced unknowns; layout: where they are. common: the errors that observations
+    have in common, where the residuals show any; they are in all of these.
     """
 
     pixel_sigma: float
     pose: Float[Tensor, "m 6 6"]
     points: Float[Tensor, "n 3 3"]
+    relative: Float[Tensor, "n 3 3"]
     intrinsics: dict[str, Float[Tensor, "cameras width"]]
     index_ratio: Float[Tensor, ""]
     planes: Float[Tensor, "interfaces 3"]
     covariance: Float[Tensor, "size size"]
     layout: Layout
+    common: CommonErrors | None = None
 
     @property
     def point_sigma(self) -> Float[Tensor, " n"]:
-        """Standard deviation of the points, the root of the mean variance along an axis."""
-        return mean_deviation(self.points)
+        """Standard deviation of the points along the axis in which each is known worst."""
+        return largest_deviation(self.points)
 
 
 def uncertainty(problem: BundleProblem, scene: Scene, pixel_sigma: float | None = None) -> Uncertainty:
     """Covariances at the minimum `scene` of `problem`, to first order.
 
-    pixel_sigma: known noise of a keypoint's coordinate; by default it is estimated from the residuals. All
-    observations count fully: a robust loss changes the noise that is effective, by the factor of M-estimators (Huber
-    and Ronchetti, "Robust statistics", 2009, section 7.6), here for residuals of two coordinates. Raises SingularError
-    where the data do not determine the unknowns, or these are too many.
+    pixel_sigma: known noise of a keypoint's coordinate, of all points and independent. By default it is estimated from
+    the residuals: of all, for what points have in common (a robust loss changes the noise that is effective, by the
+    factor of M-estimators, Huber and Ronchetti, "Robust statistics", 2009, section 7.6, here for residuals of two
+    coordinates); of each point, for its own part (`point_variances`); and what neighbouring residuals have in common is
+    added (`common_errors`). All observations count fully. Raises SingularError where the data do not determine the
+    unknowns, or these are too many.
     """
     options, layout = problem.options, problem.layout
     sigma = estimate_pixel_sigma(problem, scene) if pixel_sigma is None else pixel_sigma
     plain = replace(problem, options=replace(options, loss="squared", pixel_sigma=sigma))
     found = Covariance.of(plain.linearize(scene).system)
     reduced = found.reduced * sigma**2
+    covariance = replace(found, reduced=reduced)
     points = reduced.new_zeros(layout.num_points, 3, 3)
+    relative = points.clone()
+    if not layout.fix_points:
+        variance = _own_variances(problem, scene, pixel_sigma)
+        points[layout.eliminated_points] = covariance.eliminated(variance)
+        relative[layout.eliminated_points] = covariance.own(variance)
     if layout.reduced is not None:
-        points[layout.eliminated_points] = found.eliminated() * sigma**2
         columns = layout.point_columns(layout.reduced_points)
         points[layout.reduced_points] = reduced[columns[:, :, None], columns[:, None, :]]
-    elif not layout.fix_points:
-        points = found.eliminated() * sigma**2
+        relative[layout.reduced_points] = points[layout.reduced_points]
+    common = None if pixel_sigma is not None else common_errors(problem, scene, found.inverse)
+    if common is not None:
+        reduced = reduced + common.reduced.mT @ common.reduced / len(common.reduced)
+        points = points + torch.einsum("dni,dnj->nij", common.points, common.points) / len(common.points)
     poses = torch.arange(6 * layout.num_views, device=reduced.device).view(-1, 6)
     deviation = torch.nn.functional.pad(reduced.diagonal().clamp(min=0.0).sqrt(), (0, 1))
     return Uncertainty(
         pixel_sigma=sigma,
         pose=reduced[poses[:, :, None], poses[:, None, :]],
         points=points,
+        relative=relative,
         intrinsics={name: deviation[layout.intrinsics_columns(name, layout.cameras)] for name in layout.intrinsics},
         index_ratio=deviation[layout.index_column()],
         planes=deviation[layout.plane_columns(layout.interfaces)],
         covariance=reduced,
         layout=layout,
+        common=common,
     )
+
+
+def _own_variances(problem: BundleProblem, scene: Scene, pixel_sigma: float | None) -> Float[Tensor, " p"]:
+    """Variances of the keypoints of the points that are eliminated, square pixels."""
+    eliminated, seen = problem.layout.eliminated_points, problem.seen
+    if pixel_sigma is not None:
+        return seen.pixels.new_full((len(eliminated),), pixel_sigma**2)
+    square = problem.errors(scene, seen).square().sum(dim=0)
+    slot = torch.zeros_like(problem.plan.place_of.new_zeros(problem.layout.num_points))
+    slot[eliminated] = torch.arange(len(eliminated), device=slot.device)
+    share = problem.reduced_unknowns / max(2 * (len(seen) + len(problem.seen_reduced)), 1)
+    return point_variances(square, slot[seen.point], len(eliminated), min(share, MOST_TAKEN))
 
 
 def estimate_pixel_sigma(problem: BundleProblem, scene: Scene) -> float:
@@ -77,7 +110,7 @@ def estimate_pixel_sigma(problem: BundleProblem, scene: Scene) -> float:
     square = problem.squared_errors(scene)
     _, weight = robust(square, options.loss, options.loss_scale)
     turned = 0.5 * (weight.square() * square).sum()
-    taken = min(problem.unknowns_per_residual, 0.99)
+    taken = min(problem.unknowns_per_residual, MOST_TAKEN)
     slopes = _slopes(weight, options.loss)
     mean = slopes.mean()
     fitted = 1.0 + taken * (slopes - mean).square().mean() / mean.square()  # K of Huber and Ronchetti, section 7.6

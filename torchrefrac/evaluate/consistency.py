@@ -27,6 +27,8 @@ MOSTLY_DRY, VAGUE = 0.5, 0.2
 water was put where it does nothing."""
 VAGUE_DEG = 1.5
 """Error of verticals that nobody measured beyond which heights are not to be trusted."""
+STEEP = 0.002
+"""Slope of a surface, radians, from which on it is worth a word."""
 AIR = 1.02
 """An index ratio below which there is no water."""
 
@@ -37,7 +39,8 @@ def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     about_images = (*_duplicates(stated), *_weak_images(scene))
     if scene.index_ratio <= 1.0:
         return about_images
-    return (*_given(scene), *_gravity(scene, stated), *_heights(scene, stated), *about_images)
+    given = _given(scene)
+    return (*given, *_gravity(scene, stated), *_heights(scene, stated), *([] if given else _surface(scene)), *about_images)
 
 
 def _duplicates(stated: Capture) -> list[Finding]:
@@ -166,6 +169,19 @@ def _given(scene: Scene) -> list[Finding]:
         )
         found.append(Finding(WarningCode.INTRINSICS_CONTRADICT, message))
     return found
+
+
+def _surface(scene: Scene) -> list[Finding]:
+    """Whether the water is flat; asked where nothing else explains errors that neighbours have in common."""
+    slope = scene.assessment.surface_slope
+    if slope < STEEP:
+        return []
+    what = "moving waves" if scene.assessment.surface_moves else "waves or a bend that stand still"
+    message = (
+        f"errors of neighbouring points in the images go together as if the water were not flat: {what} with a slope "
+        f"of {math.degrees(slope):.2g} degrees (root mean square); the standard deviations take it into account"
+    )
+    return [Finding(WarningCode.SURFACE_NOT_FLAT, message)]
 
 
 def _names(scene: Scene, which: Bool[Tensor, " m"]) -> tuple[str, ...]:

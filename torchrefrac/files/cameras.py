@@ -16,7 +16,17 @@ from torchrefrac.files.fields import Fields, different_names, scene_fields, writ
 from torchrefrac.files.ply import kind_of_coordinates, write_vertices
 from torchrefrac.files.swap import settle
 from torchrefrac.geometry import Rigid
-from torchrefrac.scene import Assessment, Cameras, Interfaces, Observations, Scene, SceneError, Views, mean_deviation
+from torchrefrac.scene import (
+    Assessment,
+    Cameras,
+    Interfaces,
+    Observations,
+    Scene,
+    SceneError,
+    Views,
+    largest_deviation,
+    mean_deviation,
+)
 
 CAMERAS, FORMAT = "cameras.json", "torchrefrac-cameras/1"
 
@@ -115,18 +125,25 @@ def _assessment(registered: list[Fields]) -> Assessment:
 
 
 def write_points(
-    points: Float[Tensor, "n 3"], colors: UInt8[Tensor, "n 3"], path: Path, sigma: Float[Tensor, " n"] | None = None
+    points: Float[Tensor, "n 3"], colors: UInt8[Tensor, "n 3"], path: Path, known: Assessment | None = None
 ) -> None:
     """Write a coloured point cloud as binary PLY.
 
     Coordinates are float32, or float64 where that would round away what is known of them, as far from the origin of a
-    map. sigma: standard deviations of the points, written as the property `sigma` of the vertices (float32).
+    map. known: of these points, written as properties of the vertices (float32): `sigma` along the axis in which each
+    is known worst, `sigma_x`, `sigma_y`, `sigma_z`, and `sigma_relative`, along the worst axis as if cameras and water
+    were known.
     """
+    sigma = None if known is None else known.point_sigma
     kind = kind_of_coordinates(points, sigma)
     columns = [(name, kind, value) for name, value in zip("xyz", points.T, strict=True)]
     columns += [(name, "u1", value) for name, value in zip(("red", "green", "blue"), colors.T, strict=True)]
-    if sigma is not None:
+    if known is not None and sigma is not None and known.point_covariance is not None:
+        along = known.point_covariance.diagonal(dim1=1, dim2=2).clamp(min=0.0).sqrt()
         columns.append(("sigma", "f4", sigma))
+        columns += [(f"sigma_{name}", "f4", value) for name, value in zip("xyz", along.T, strict=True)]
+        if known.relative_covariance is not None:
+            columns.append(("sigma_relative", "f4", largest_deviation(known.relative_covariance)))
     write_vertices(columns, path)
 
 

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.optim.elimination import Elimination, Tiles
-from torchrefrac.optim.normal_equations import DIAGONAL, NEGLIGIBLE, NormalEquations
+from torchrefrac.optim.normal_equations import DIAGONAL, NEGLIGIBLE, NormalEquations, in_cache
 from torchrefrac.optim.plan import ELIMINATED_SIZE, REDUCED_SIZE, TILE
 
 MAX_COVARIANCE = 12000
@@ -103,6 +103,31 @@ class GaussNewtonInverse:
         places = self.elimination.times_inverse(places - self.elimination.to_eliminated(reduced))
         return torch.cat((reduced, places[:, plan.place_of].T.flatten()))
 
+    def propagate(
+        self, errors: Float[Tensor, "residuals observations"]
+    ) -> tuple[Float[Tensor, " size"], Float[Tensor, "blocks 3"], Float[Tensor, "residuals observations"]]:
+        """What errors of the residuals of the rows (in their order, weighted alike) do to the minimum, to first order:
+        the steps of reduced and of eliminated unknowns, and what is left in the residuals."""
+        system = self.elimination.system
+        plan, rows = system.plan, system.rows
+        local = rows.new_zeros(plan.columns.shape[1], plan.num_reduced)
+        places = rows.new_zeros(ELIMINATED_SIZE, plan.num_places)
+        for here in in_cache(rows.shape[-1]):
+            part, by = errors[:, None, here], rows[..., here]
+            local.index_add_(1, plan.reduced[here], (by[:, plan.layout.reduced] * part).sum(dim=0))
+            places.index_add_(1, plan.place[here], (by[:, plan.layout.eliminated] * part).sum(dim=0))
+        right = rows.new_zeros(plan.size + 1).index_add_(0, plan.columns.T.flatten(), local.flatten())[:-1]
+        step = -self(torch.cat((right, places[:, plan.place_of].T.flatten())))
+        reduced, eliminated = step[: plan.size], step[plan.size :].view(-1, ELIMINATED_SIZE)
+        local = torch.nn.functional.pad(reduced, (0, 1))[plan.columns].T.contiguous()
+        places[:, plan.place_of] = eliminated.T
+        left = errors.clone()
+        for here in in_cache(rows.shape[-1]):
+            by = rows[..., here]
+            left[:, here] += (by[:, plan.layout.reduced] * local.index_select(1, plan.reduced[here])).sum(dim=1)
+            left[:, here] += (by[:, plan.layout.eliminated] * places.index_select(1, plan.place[here])).sum(dim=1)
+        return reduced, eliminated, left
+
     def gauge_times(self, vector: Float[Tensor, " unknowns"]) -> Float[Tensor, " unknowns"]:
         """The stiffness added along the null space, times a vector."""
         system = self.elimination.system
@@ -122,9 +147,10 @@ def _smallest_eigenvalue(factor: Float[Tensor, "size size"]) -> float:
 
 @dataclass(frozen=True)
 class Covariance:
-    """In units in which residuals have variance one. reduced: zero for unknowns that nothing depends on."""
+    """In units in which residuals have variance one, or as scaled. reduced: zero for unknowns that nothing depends
+    on. inverse: what it was made from."""
 
-    elimination: Elimination
+    inverse: GaussNewtonInverse
     reduced: Float[Tensor, "size size"]
 
     @classmethod
@@ -141,11 +167,20 @@ class Covariance:
             inverse.addmm_(null_space / found.stiffness, null_space.T, alpha=-1.0)
         inverse[found.dead] = 0.0
         inverse[:, found.dead] = 0.0
-        return cls(found.elimination, inverse)
+        return cls(found, inverse)
 
-    def eliminated(self) -> Float[Tensor, "blocks 3 3"]:
-        """Of the eliminated blocks."""
+    @property
+    def elimination(self) -> Elimination:
+        """Of the eliminated blocks, undamped."""
+        return self.inverse.elimination
+
+    def eliminated(self, variance: Float[Tensor, " blocks"] | None = None) -> Float[Tensor, "blocks 3 3"]:
+        """Of the eliminated blocks. variance: of the residuals of each, by default 1; what the reduced unknowns add is
+        as they are scaled."""
         plan = self.elimination.system.plan
+        own = self.reduced.new_ones(plan.num_places)
+        if variance is not None:
+            own[plan.place_of] = variance
         spread = torch.nn.functional.pad(self.reduced, (0, 1, 0, 1))  # what is padded in a tile has no spread
         result = self.reduced.new_zeros(plan.num_places, ELIMINATED_SIZE, ELIMINATED_SIZE)
         identity = torch.eye(ELIMINATED_SIZE, dtype=result.dtype, device=result.device)
@@ -156,11 +191,22 @@ class Covariance:
             rows = z.unflatten(1, (TILE, ELIMINATED_SIZE))
             among = (z @ here).unflatten(1, (TILE, ELIMINATED_SIZE)) @ rows.mT
             places = slice(tiles.chunk.tiles.start * TILE, tiles.chunk.tiles.stop * TILE)
-            result[places] = identity + among.flatten(0, 1)
-        x = self.elimination.factor.new_zeros(plan.num_places, ELIMINATED_SIZE, ELIMINATED_SIZE)
-        i, j = torch.tril_indices(ELIMINATED_SIZE, ELIMINATED_SIZE)
-        x[:, i, j] = self.elimination.factor.T
+            result[places] = own[places, None, None] * identity + among.flatten(0, 1)
+        x = self._factors()
         return (x.mT @ result @ x)[plan.place_of]
+
+    def own(self, variance: Float[Tensor, " blocks"]) -> Float[Tensor, "blocks 3 3"]:
+        """Of the eliminated blocks if the reduced unknowns were known: V^-1 times the variance of the residuals."""
+        x = self._factors()[self.elimination.system.plan.place_of]
+        return variance[:, None, None] * (x.mT @ x)
+
+    def _factors(self) -> Float[Tensor, "places 3 3"]:
+        """X of every place as a matrix."""
+        factor = self.elimination.factor
+        x = factor.new_zeros(factor.shape[1], ELIMINATED_SIZE, ELIMINATED_SIZE)
+        i, j = torch.tril_indices(ELIMINATED_SIZE, ELIMINATED_SIZE)
+        x[:, i, j] = factor.T
+        return x
 
     def _columns(self, tiles: Tiles) -> Int[Tensor, "tiles columns"]:
         """Which of the reduced unknowns the columns of the tiles are."""

@@ -5,7 +5,15 @@ from torchrefrac.scene.dense import DenseCloud, DepthMap
 from torchrefrac.scene.findings import Finding, WarningCode
 from torchrefrac.scene.interfaces import Interfaces
 from torchrefrac.scene.raster import Raster
-from torchrefrac.scene.scene import Assessment, Part, Scene, SceneError, mean_deviation, reprojection_errors
+from torchrefrac.scene.scene import (
+    Assessment,
+    Part,
+    Scene,
+    SceneError,
+    largest_deviation,
+    mean_deviation,
+    reprojection_errors,
+)
 from torchrefrac.scene.survey import Survey, SurveyError
 from torchrefrac.scene.tables import Cameras, Observations, Views
 from torchrefrac.scene.truth import Truth, TruthPoints
@@ -13,5 +21,5 @@ from torchrefrac.scene.truth import Truth, TruthPoints
 __all__ = [
     "Assessment", "Cameras", "Capture", "CaptureError", "DenseCloud", "DepthMap", "Finding", "Interfaces",
     "Observations", "Part", "Raster", "Scene", "SceneError", "Survey", "SurveyError", "Truth", "TruthPoints", "Views",
-    "WarningCode", "mean_deviation", "reprojection_errors",
+    "WarningCode", "largest_deviation", "mean_deviation", "reprojection_errors",
 ]  # fmt: skip

@@ -25,22 +25,33 @@ class SceneError(TorchrefracError, ValueError):
 class Assessment:
     """How well a scene is determined, as standard deviations; None: not known.
 
-    pixel_sigma: of a keypoint's coordinate, pixels, as estimated from the residuals. point_sigma of points and
-    center_sigma of registered views: of a coordinate, in length_unit, relative to the cameras as a whole;
-    center_covariance: of the centres in world axes, length_unit squared. index_ratio_sigma: None where it was given.
+    pixel_sigma: of a keypoint's coordinate, pixels, as estimated from the residuals. point_covariance: of the points in
+    world axes, length_unit squared, with what is not known of cameras and water; relative_covariance: without, as if
+    these were known. center_sigma of registered views: of a coordinate, in length_unit; center_covariance: of the
+    centres. All are relative to the cameras as a whole. surface_slope: root mean square slope of the water surface that
+    the residuals show, radians, zero where they show none; surface_moves: whether it differs from image to image.
+    index_ratio_sigma: None where it was given.
     determined: sentences about water, intrinsics and scale; fixed: what was to be refined, but is not determined, and
     why. wished: by how much "index_ratio" and the logarithm of the "focal" length, which were given, would change if
     the images had a say, and the standard deviations of these changes.
     """
 
     pixel_sigma: float | None = None
-    point_sigma: Float[Tensor, " n"] | None = None
+    point_covariance: Float[Tensor, "n 3 3"] | None = None
+    relative_covariance: Float[Tensor, "n 3 3"] | None = None
     center_sigma: Float[Tensor, " r"] | None = None
     center_covariance: Float[Tensor, "r 3 3"] | None = None
     index_ratio_sigma: float | None = None
     determined: tuple[str, ...] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)
     wished: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    surface_slope: float = 0.0
+    surface_moves: bool = False
+
+    @property
+    def point_sigma(self) -> Float[Tensor, " n"] | None:
+        """Standard deviation of each point, in length_unit, along the axis in which it is known worst."""
+        return None if self.point_covariance is None else largest_deviation(self.point_covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,6 +317,11 @@ def reprojection_errors(
 def mean_deviation(covariance: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch"]:
     """Standard deviation of a coordinate: the root of the mean variance along an axis."""
     return covariance.diagonal(dim1=-2, dim2=-1).mean(dim=-1).clamp(min=0.0).sqrt()
+
+
+def largest_deviation(covariance: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch"]:
+    """Standard deviation along the axis in which it is largest."""
+    return torch.linalg.eigvalsh(covariance)[..., -1].clamp(min=0.0).sqrt()
 
 
 def require_index(index: Shaped[Tensor, " k"], name: str, count: int) -> None:

@@ -102,11 +102,14 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str], num_poin
     wished = ((name, wished_change(problem, scene, name, known.pixel_sigma)) for name in GIVEN)
     return Assessment(
         pixel_sigma=known.pixel_sigma,
-        point_sigma=known.point_sigma[:num_points],
+        point_covariance=known.points[:num_points],
+        relative_covariance=known.relative[:num_points],
         center_sigma=mean_deviation(centers),
         center_covariance=centers,
         index_ratio_sigma=float(known.index_ratio) if "index_ratio" in problem.layout.water else None,
         determined=tuple(d.sentence for d in found),
         fixed=fixed,
         wished={name: change for name, change in wished if change is not None} if found else {},
+        surface_slope=0.0 if known.common is None else known.common.slope,
+        surface_moves=known.common is not None and known.common.moving_slope > known.common.still_slope,
     )

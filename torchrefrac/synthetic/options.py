@@ -21,11 +21,13 @@ MAX_SEED = 2**56  # a hundred times as much still fits into 64 bits
 @dataclass(frozen=True, kw_only=True)
 class WaveOptions:
     """Small waves on the water: `components` sines of random directions, phases and lengths up to `longest` (length
-    units), the slopes of all together `rms_slope` (0: calm)."""
+    units), the slopes of all together `rms_slope` (0: calm). moving: every photograph is of another moment, its phases
+    drawn anew."""
 
     rms_slope: float = 0.0
     longest: float = 80.0
     components: int = 8
+    moving: bool = False
 
     def __post_init__(self) -> None:
         require_between(self.rms_slope, "rms_slope", 0.0, 0.3)

@@ -94,7 +94,7 @@ class Photographer:
         rotation = self.stage.rotation[image]
         x, y = plane.unbind(dim=-1)
         directions = (rotation[:2].mT @ plane.mT + rotation[2][:, None]) / (x * x + y * y + 1.0).sqrt()
-        return self.scenery.look(self.stage.center[image], directions.mT)
+        return self.scenery.look(self.stage.center[image], directions.mT, moment=image)
 
     def _colors(self, sight: Sight) -> Float32[Tensor, "n 3"]:
         """RGB from 0 to 255."""

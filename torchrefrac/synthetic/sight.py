@@ -69,14 +69,14 @@ class Scenery:
         levels = (piece.surface.triangles()[0][:, 2] for piece in self.pieces)
         return [(float(z.min()), float(z.max())) for z in levels]
 
-    def look(self, center: Float[Tensor, " 3"], directions: Float[Tensor, "n 3"]) -> Sight:
-        """What rays see that start at center, above the water, along unit directions.
+    def look(self, center: Float[Tensor, " 3"], directions: Float[Tensor, "n 3"], moment: int = 0) -> Sight:
+        """What rays see that start at center, above the water, along unit directions, at a moment of its waves.
 
         A ray ends on what it meets before the water; else it is bent there and goes on. One that does not meet the
         water goes on straight, and may meet what reaches above the water.
         """
         directions = by_component(directions)
-        entry, start = self._enter(center, directions)
+        entry, start = self._enter(center, directions, moment)
         wet = self._nearest(self.below, start, entry.direction)
         wet = wet._replace(
             length=torch.where(entry.valid, wet.length, torch.inf), surface=torch.where(entry.valid, wet.surface, -1)
@@ -88,10 +88,10 @@ class Scenery:
         return _first(sight, dry, center, directions, entry)
 
     def _enter(
-        self, center: Float[Tensor, " 3"], directions: Float[Tensor, "n 3"]
+        self, center: Float[Tensor, " 3"], directions: Float[Tensor, "n 3"], moment: int
     ) -> tuple[Entry, Float[Tensor, "n 3"]]:
         if self.waves is not None:
-            entry = self.waves.enter(center, directions, self.index_ratio)
+            entry = self.waves.at(moment).enter(center, directions, self.index_ratio)
             return entry, center + entry.length[:, None] * directions
         start, onward, valid = refract_rays(center, directions, FlatInterface(self.index_ratio, check=False))
         cosine = -directions[:, 2]

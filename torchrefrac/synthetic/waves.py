@@ -1,7 +1,7 @@
 """Small waves on the water: where rays meet them, how they bend there, and how much light is mirrored."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -28,11 +28,13 @@ class Entry(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Waves:
-    """z = sum of amplitude sin(number . (x, y) + phase)."""
+    """z = sum of amplitude sin(number . (x, y) + phase). moments: what decides the phases of each moment; None where
+    the waves stand still."""
 
     number: Float[Tensor, "k 2"]
     amplitude: Float[Tensor, " k"]
     phase: Float[Tensor, " k"]
+    moments: int | None = None
 
     @classmethod
     def draw(cls, options: WaveOptions, seed: int) -> "Waves | None":
@@ -48,7 +50,17 @@ class Waves:
         length = options.longest * SHORTEST ** ((torch.arange(k, dtype=torch.float64) + place) / k)
         wave = 2.0 * math.pi / length
         number = wave[:, None] * torch.stack(((2.0 * math.pi * turn).cos(), (2.0 * math.pi * turn).sin()), dim=-1)
-        return cls(number, options.rms_slope * math.sqrt(2.0 / k) / wave, 2.0 * math.pi * phase)
+        amplitude = options.rms_slope * math.sqrt(2.0 / k) / wave
+        return cls(number, amplitude, 2.0 * math.pi * phase, seed if options.moving else None)
+
+    def at(self, moment: int) -> "Waves":
+        """The waves at a moment, the same ones for all moments where they stand still. Moments have nothing to do with
+        each other, as when photographs are taken seconds apart."""
+        if self.moments is None:
+            return self
+        generator = seeded(self.moments, "moments", moment)
+        phase = torch.rand(len(self.phase), generator=generator, dtype=torch.float64)
+        return replace(self, phase=2.0 * math.pi * phase)
 
     @property
     def crest(self) -> float:
