@@ -137,18 +137,27 @@ def test_points_and_colours_survive_the_file(tmp_path, draw, count):
 def test_standard_deviations_of_points_are_a_property_of_the_vertices(tmp_path, draw, count):
     points, colors = draw.normal(count, 3), torch.randint(256, (count, 3), generator=draw.generator).to(torch.uint8)
     sigma = draw.power_of_ten(-6.0, 3.0, count)
+    known = _known(sigma, torch.tensor((0.5, 0.25, 1.0), dtype=torch.float64))
 
-    write_points(points, colors, tmp_path / "points.ply", sigma)
+    write_points(points, colors, tmp_path / "points.ply", known)
 
     vertices = _raw_ply(tmp_path / "points.ply")["vertex"]
     assert list(vertices["properties"].items()) == [
         *((name, "<f4") for name in "xyz"),
         *((name, "<u1") for name in ("red", "green", "blue")),
-        ("sigma", "<f4"),
+        *((name, "<f4") for name in ("sigma", "sigma_x", "sigma_y", "sigma_z", "sigma_relative")),
     ]
     assert vertices["length"] == count
     if count:
-        assert torch.equal(torch.from_numpy(vertices["data"]["sigma"].copy()).flatten(), sigma.float())
+        for name, part in (
+            ("sigma", 1.0),
+            ("sigma_x", 0.5),
+            ("sigma_y", 0.25),
+            ("sigma_z", 1.0),
+            ("sigma_relative", 0.1),
+        ):
+            written = torch.from_numpy(vertices["data"][name].copy()).flatten()
+            torch.testing.assert_close(written, (part * sigma).float(), rtol=1e-6, atol=0.0)
         assert torch.equal(torch.from_numpy(vertices["data"]["z"].copy()).flatten(), points[:, 2].float())
         loaded, loaded_colors = load_points(tmp_path / "points.ply")
         assert torch.allclose(loaded, points, rtol=1e-6)
@@ -160,8 +169,8 @@ def test_coordinates_of_a_map_keep_their_digits(tmp_path, draw):
     points = draw.uniform(-20.0, 20.0, 250, 3) + torch.tensor([512345.0, 4123456.0, 100.0], dtype=torch.float64)
     colors = torch.zeros(250, 3, dtype=torch.uint8)
 
-    for sigma in (torch.full((250,), 0.03, dtype=torch.float64), torch.full((250,), torch.inf), None):
-        write_points(points, colors, tmp_path / "points.ply", sigma)
+    for sigma in (torch.full((250,), 0.03, dtype=torch.float64), None):
+        write_points(points, colors, tmp_path / "points.ply", None if sigma is None else _known(sigma))
 
         assert torch.equal(load_points(tmp_path / "points.ply")[0], points)
         cloud = trimesh.load(tmp_path / "points.ply", process=False)
@@ -173,9 +182,16 @@ def test_coordinates_near_the_origin_are_floats(tmp_path, draw):
     points = draw.uniform(-20.0, 20.0, 250, 3)
 
     for sigma in (torch.full((250,), 0.03, dtype=torch.float64), None):
-        write_points(points, torch.zeros(250, 3, dtype=torch.uint8), tmp_path / "points.ply", sigma)
+        known = None if sigma is None else _known(sigma)
+        write_points(points, torch.zeros(250, 3, dtype=torch.uint8), tmp_path / "points.ply", known)
 
         assert list(_raw_ply(tmp_path / "points.ply")["vertex"]["properties"].values())[:3] == ["<f4"] * 3
+
+
+def _known(sigma, along=(1.0, 1.0, 1.0)):
+    """An assessment with these standard deviations along x, y and z, and a tenth of them relative to the cameras."""
+    covariance = (sigma[:, None] * torch.as_tensor(along, dtype=torch.float64)).square().diag_embed()
+    return Assessment(point_covariance=covariance, relative_covariance=0.01 * covariance)
 
 
 def test_points_without_them_have_no_such_property(tmp_path, draw):

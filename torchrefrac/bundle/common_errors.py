@@ -31,8 +31,11 @@ SEEN = 8.0
 """Standard deviations of a sum over independent residuals beyond which there are common errors."""
 CLIP = 3.0
 """Standard deviations beyond which a residual counts no more: a wrong match is no field."""
-TRIALS, DRAWS = 3, 40
-"""How many draws tell what a field leaves in the residuals, and what all together do to the unknowns."""
+TRIALS, MOST_TRIALS, ENOUGH = 3, 16, 100_000
+"""How many draws tell what a field leaves in the residuals: more where there are fewer than so many observations in
+all, which are soon drawn."""
+DRAWS = 40
+"""How many tell what all fields together do to the unknowns."""
 TOLERANCE = 0.1
 """Relative error of a sum that an explanation by fields is allowed."""
 MEDIAN_LENGTH = math.sqrt(2.0 * math.log(2.0))
@@ -168,10 +171,11 @@ def _left_by(
     """The sums over what a field of variance one leaves in the residuals, in the mean of some draws."""
     kind, part = field
     total = kind.place.new_zeros(len(kinds) * len(PARTS))
-    for _ in range(TRIALS):
+    trials = min(max(TRIALS, ENOUGH // len(kind.place)), MOST_TRIALS)
+    for _ in range(trials):
         _, _, left = inverse.propagate(kind.draw(part, generator))
         total += torch.stack([value for each in kinds for value in each.sums(left)])
-    return total / TRIALS
+    return total / trials
 
 
 def _explained(

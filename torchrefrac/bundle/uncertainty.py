@@ -22,11 +22,11 @@ class Uncertainty:
     """pixel_sigma: the standard deviation of a keypoint's coordinate, pixels, of the typical point.
 
     pose: covariances of (w, dc), R <- exp([w]x) R, radians, and of the centre. points: covariances, with all that
-    cameras, water and the errors of the model add; relative: without that, as if cameras and water were known. intrinsics:
-    by name of what was refined, standard deviations. index_ratio and planes: standard deviations, of planes of the two
-    tilts (radians) and the height; zero where fixed. If the gauge was free these are relative to it (inner constraints
-    on the views). covariance: of all reduced unknowns; layout: where they are. common: the errors that observations
-    have in common, where the residuals show any; they are in all of these.
+    cameras, water and the errors of the model add; relative: without that, as if cameras and water were known.
+    intrinsics: by name of what was refined, standard deviations. index_ratio and planes: standard deviations, of planes
+    of the two tilts (radians) and the height; zero where fixed. If the gauge was free these are relative to it (inner
+    constraints on the views). covariance: of all reduced unknowns; layout: where they are. common: the errors that
+    observations have in common, where the residuals show any; they are in all of these.
     """
 
     pixel_sigma: float

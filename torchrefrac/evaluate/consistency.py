@@ -40,7 +40,13 @@ def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     if scene.index_ratio <= 1.0:
         return about_images
     given = _given(scene)
-    return (*given, *_gravity(scene, stated), *_heights(scene, stated), *([] if given else _surface(scene)), *about_images)
+    return (
+        *given,
+        *_gravity(scene, stated),
+        *_heights(scene, stated),
+        *([] if given else _surface(scene)),
+        *about_images,
+    )
 
 
 def _duplicates(stated: Capture) -> list[Finding]:
