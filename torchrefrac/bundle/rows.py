@@ -16,6 +16,7 @@ from torchrefrac.geometry import Plane
 from torchrefrac.optim import LossName, RowLayout, in_cache, robust
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.scene import Observations, Scene
+from torchrefrac.scene.interfaces import without_water
 
 IMPOSSIBLE_PX = 1e3
 POSE = ("rotation", "center")
@@ -102,6 +103,7 @@ def _gathered(scene: Scene, seen: Observations) -> tuple[Float[Tensor, "..."], .
     views, cameras, interfaces = scene.views, scene.cameras, scene.interfaces
     camera = 0 if len(cameras) == 1 else views.camera[seen.view]
     interface = 0 if len(interfaces) == 1 else views.interface[seen.view]
+    offset = interfaces.offset[interface]
     return (
         _look_up(views.rotation, seen.view),
         _look_up(views.center, seen.view),
@@ -112,7 +114,7 @@ def _gathered(scene: Scene, seen: Observations) -> tuple[Float[Tensor, "..."], .
         cameras.distortion[camera],
         interfaces.index_ratio[0],
         interfaces.normal[interface],
-        interfaces.offset[interface],
+        offset if scene.dry is None else without_water(offset, scene.dry[seen.point]),
     )
 
 

@@ -48,7 +48,8 @@ class Scene:
     """What is known of a scene, at any stage; every step makes a new one.
 
     World: z up, the (first) interface at z = 0 unless a file says otherwise; lengths in length_unit. Points have a
-    position where `placed`, and colours (RGB). Observations ascend by point; `accepted` are those that support a placed
+    position where `placed`, and colours (RGB); those that are `dry` are seen straight even below the surface, as there
+    is no water before them (None: no point is known to be so). Observations ascend by point; `accepted` are those that support a placed
     point in a registered view. failures: why a view is not registered, by name. findings: what the images say against
     what was stated. capture: the photographs of the views, in their order, where they are at hand.
 
@@ -63,6 +64,7 @@ class Scene:
     placed: Bool[Tensor, " n"]
     observations: Observations
     accepted: Bool[Tensor, " k"]
+    dry: Bool[Tensor, " n"] | None = None
     length_unit: str = "unit"
     failures: Mapping[str, str] = field(default_factory=dict)
     assessment: Assessment = field(default_factory=Assessment)
@@ -141,6 +143,8 @@ class Scene:
             "normal": (self.interfaces.normal, (e, 3)),
             "index_ratio": (self.interfaces.index_ratio, (e,)),
         }
+        if self.dry is not None:
+            shapes["dry"] = (self.dry, (n,))
         for name, (value, wanted) in shapes.items():
             if tuple(value.shape) != wanted:
                 raise SceneError(
@@ -170,13 +174,19 @@ class Scene:
             raise SceneError(f"the interfaces have index ratios {ratio.tolist()}, but only one can be used here")
         return float(ratio[0])
 
-    def camera_of(self, view: Any = slice(None)) -> RefractiveCamera:
+    def camera_of(self, view: Any = slice(None), point: Int[Tensor, "*batch"] | None = None) -> RefractiveCamera:
         """The cameras of views (*B) as a batch (*B), by default of all; of views that are not registered they mean
-        nothing."""
+        nothing. point (*B): what each looks at, without water before it where the point is dry; by default through
+        water."""
         views = self.views
         intrinsics = self.cameras.of_views(views.camera[view])
-        interface = self.interfaces.of_views(views.interface[view])
+        dry = None if self.dry is None or point is None else self.dry[point]
+        interface = self.interfaces.of_views(views.interface[view], dry)
         return RefractiveCamera(intrinsics, views.rotation[view], views.center[view], interface, check=False)
+
+    def cameras_of(self, seen: Observations) -> RefractiveCamera:
+        """The camera of each observation (k) as a batch (k), looking at the point that is observed."""
+        return self.camera_of(seen.view, seen.point)
 
     def errors(self) -> Float[Tensor, " k"]:
         """Reprojection errors in pixels; inf where there is no pose, no position or no projection."""
@@ -184,7 +194,7 @@ class Scene:
         usable = self.views.registered[seen.view] & self.placed[seen.point]
         result = torch.full_like(seen.pixels[:, 0], torch.inf)
         seen = seen[rows := usable.nonzero()[:, 0]]
-        result[rows] = reprojection_errors(self.camera_of(seen.view), self.points[seen.point], seen.pixels)
+        result[rows] = reprojection_errors(self.cameras_of(seen), self.points[seen.point], seen.pixels)
         return result
 
     def support(self) -> Int[Tensor, " m"]:
@@ -220,6 +230,7 @@ class Scene:
             points=self.points[ids],
             colors=self.colors[ids],
             placed=self.placed[ids],
+            dry=self._dry_of(ids),
             observations=replace(seen, view=slot[seen.view], point=point),
             accepted=torch.ones_like(seen.point, dtype=torch.bool),
         )
@@ -246,6 +257,7 @@ class Scene:
             points=points,
             colors=colors,
             placed=torch.ones(len(points), dtype=torch.bool, device=points.device),
+            dry=None,
             observations=seen,
             accepted=torch.ones_like(seen.point, dtype=torch.bool),
         )
@@ -271,6 +283,7 @@ class Scene:
             points=self.points[ids],
             colors=self.colors[ids],
             placed=self.placed[ids],
+            dry=self._dry_of(ids),
             observations=replace(seen, point=point),
             accepted=self.accepted[self.accepted],
         )
@@ -285,6 +298,10 @@ class Scene:
         first[order[1:][repeats]] = False
         several = torch.bincount(seen.point[first], minlength=n) >= 2
         return replace(self, accepted=first & several[seen.point]).trimmed()
+
+
+    def _dry_of(self, points: Int[Tensor, " p"]) -> Bool[Tensor, " p"] | None:
+        return None if self.dry is None else self.dry[points]
 
 
 class Part(NamedTuple):

@@ -68,7 +68,7 @@ class Tracks(NamedTuple):
     @property
     def cameras(self) -> RefractiveCamera:
         """Of each observation."""
-        return self.scene.camera_of(self.scene.observations.view[self.rows])
+        return self.scene.cameras_of(self.scene.observations[self.rows])
 
     @property
     def pixels(self) -> Float[Tensor, "k 2"]:
