@@ -11,6 +11,7 @@ from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, Part, Scene
 from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess_scene
+from torchrefrac.sfm.dry_points import find_dry, same_dry, with_dry
 from torchrefrac.sfm.filter_points import affordable_length, filter_points
 from torchrefrac.sfm.frame import fix_frame
 from torchrefrac.sfm.gravity import contradicted_gravity
@@ -142,6 +143,15 @@ class _Growth:
             most = 2 * int((unknown & scene.views.registered).sum()) > scene.views.num_registered
             self.down_sigma = torch.where(unknown | most, torch.inf, self.down_sigma)
             scene = self._converged(scene, rules)
+        return self._with_dry(scene, rules)
+
+    def _with_dry(self, scene: Scene, rules: Rules) -> Scene:
+        """With those points seen straight that are, and everything adjusted to that, until no more are found."""
+        for _ in range(self.options.final_rounds):
+            dry = find_dry(scene, rules)
+            if same_dry(dry, scene.dry):
+                break
+            scene = self._converged(with_dry(scene, dry), rules)
         return scene
 
     def _converged(self, scene: Scene, rules: Rules) -> Scene:

@@ -1,0 +1,167 @@
+"""Which points below the water's level are seen straight, as there is no water before them: a table around a tank, land
+beyond the bank. The observations of a track tell where their rays meet better, in water or in air.
+
+In both media the rays of one camera stay in their vertical planes, so that a point which is wrongly taken for one under
+water lies beneath its true place, about n times as deep; beyond that, near the vertical, the media differ by little.
+What one track leaves open its neighbours decide.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from torchrefrac.numerics import segment_sum
+from torchrefrac.refinement import refine_points
+from torchrefrac.scene import Scene, reprojection_errors
+from torchrefrac.sfm.rays import Tracks
+from torchrefrac.sfm.rules import Rules
+
+TAIL = 4.0
+"""Degrees of freedom of Student's distribution, which the errors of keypoints follow better than the normal one."""
+CLEAR = 10.0
+"""Twice the logarithm of a likelihood ratio that leaves no doubt; the evidence of neighbours counts up to as much."""
+DECIDED = 5.0
+"""What the evidence of a track and that of its neighbours must come to, for it to be seen straight."""
+NEIGHBOURS = 16
+ENOUGH_VIEWS = 3
+"""Two rays meet in either medium: tracks of two views decide nothing, but follow their neighbours."""
+FEWEST, LEAST_SHARE = 20, 5e-3
+"""Clear tracks, and their share of all, below which they are mistakes of matching, and nothing is seen straight."""
+LEAST_WATER = 0.02
+"""Share of clear tracks that must speak for water: where hardly any does there is none, whatever was stated."""
+FINEST_PX = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Of tracks with the points `ids`: twice the logarithm of how much likelier each is seen straight than through
+    water, at which places (x, y), and of how many views it is. Zero where it does not lie below the surface."""
+
+    ids: Int[Tensor, " l"]
+    ratio: Float[Tensor, " l"]
+    place: Float[Tensor, "l 2"]
+    views: Int[Tensor, " l"]
+
+    @property
+    def clear(self) -> Bool[Tensor, " l"]:
+        """Which tracks are seen straight beyond doubt, whatever their neighbours are."""
+        return (self.views >= ENOUGH_VIEWS) & (self.ratio > CLEAR + DECIDED)
+
+    def notable(self, tracks: int) -> bool:
+        """Whether more of them are clear than mistakes would be among so many tracks."""
+        return int(self.clear.sum()) >= max(FEWEST, LEAST_SHARE * tracks)
+
+    def dry(self) -> Bool[Tensor, " l"]:
+        """Which are seen straight: by themselves, or with their neighbours' evidence."""
+        known = self.ratio.clamp(-CLEAR, CLEAR)
+        count = min(NEIGHBOURS, len(known) - 1)
+        if count < 1:
+            return self.clear
+        place = self.place.cpu().numpy()
+        _, near = cKDTree(place).query(place, np.arange(2, count + 2))  # the first is the track itself
+        around = known[torch.from_numpy(near).to(known.device)].mean(dim=1)
+        return self.ratio + around > DECIDED
+
+
+def find_dry(scene: Scene, rules: Rules) -> Bool[Tensor, " n"] | None:
+    """Which points are seen straight though they lie below the surface; None where nothing speaks for any.
+
+    All tracks that two registered views see are judged, placed or not, whatever the scene takes them for. Poses and
+    water must be nearly right. None also where next to no track speaks for water: then its index ratio, or that there
+    is water at all, is in doubt, and not where it ends.
+    """
+    if not scene.interfaces.refract():
+        return None
+    seen = scene.observations
+    length = torch.bincount(seen.point[scene.views.registered[seen.view]], minlength=len(scene.points))
+    several, sigma = length >= 2, _pixel_sigma(scene)
+    tracks = int((length >= ENOUGH_VIEWS).sum())
+    if scene.dry is None:
+        doubtful = (length >= ENOUGH_VIEWS) & (_excess(scene, sigma) > CLEAR + DECIDED)
+        if not evidence(scene, doubtful, rules, sigma).notable(tracks):
+            return None
+    found = evidence(scene, several, rules, sigma)
+    wet = int((found.ratio < -CLEAR).sum())
+    if not found.notable(tracks) or wet < LEAST_WATER * (wet + int(found.clear.sum())):
+        return None
+    return torch.zeros_like(scene.placed).index_fill(0, found.ids[found.dry()], True)
+
+
+def with_dry(scene: Scene, dry: Bool[Tensor, " n"] | None) -> Scene:
+    """The scene with these points seen straight; those that it took for something else have no place any more."""
+    none = torch.zeros_like(scene.placed)
+    changed = (none if dry is None else dry) != (none if scene.dry is None else scene.dry)
+    accepted = scene.accepted & ~changed[scene.observations.point]
+    return replace(scene, dry=dry, placed=scene.placed & ~changed, accepted=accepted)
+
+
+def same_dry(first: Bool[Tensor, " n"] | None, second: Bool[Tensor, " n"] | None) -> bool:
+    """Whether the same points are dry, but for so few that it does not matter."""
+    if first is None or second is None:
+        return first is second
+    return int((first != second).sum()) < LEAST_SHARE * int(second.sum())
+
+
+def evidence(scene: Scene, wanted: Bool[Tensor, " n"], rules: Rules, sigma: float) -> Evidence:
+    """Of the tracks of points `wanted`, given the noise `sigma` of a keypoint's coordinate, pixels."""
+    seen = scene.observations
+    rows = (scene.views.registered[seen.view] & wanted[seen.point]).nonzero()[:, 0]
+    through_water, straight = (_Fit.of(scene, rows, dry, rules, sigma) for dry in (False, True))
+    ratio = torch.where(straight.good & straight.below, through_water.cost - straight.cost, 0.0)
+    return Evidence(straight.ids, ratio, straight.points[:, :2], straight.views)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Tracks placed where their observations meet best in one medium: minus twice the logarithms of their likelihoods,
+    whether they meet at all, and below the surface."""
+
+    ids: Int[Tensor, " l"]
+    points: Float[Tensor, "l 3"]
+    cost: Float[Tensor, " l"]
+    good: Bool[Tensor, " l"]
+    below: Bool[Tensor, " l"]
+    views: Int[Tensor, " l"]
+
+    @classmethod
+    def of(cls, scene: Scene, rows: Int[Tensor, " k"], dry: bool, rules: Rules, sigma: float) -> "_Fit":
+        assumed = replace(scene, dry=torch.ones_like(scene.placed) if dry else None)
+        tracks = Tracks.of(assumed, rows)
+        cameras, pixels, slot = tracks.cameras, tracks.pixels, tracks.slot
+        start, angle, meets = tracks.meet()
+        estimate = refine_points(cameras, pixels, slot, start, sigma, rules.bundle.loss_scale)
+        error = reprojection_errors(cameras, estimate.points[slot], pixels).clamp(max=rules.max_error)
+        return cls(
+            ids=tracks.ids,
+            points=estimate.points,
+            cost=segment_sum(_unlikelihood(error / sigma)[:, None], slot, len(start))[:, 0],
+            good=meets & estimate.valid & (angle > rules.min_angle_deg * torch.pi / 180.0),
+            below=tracks.height(estimate.points) < 0.0,
+            views=torch.bincount(slot, minlength=len(start)),
+        )
+
+
+def _pixel_sigma(scene: Scene) -> float:
+    """The scale of the errors of accepted observations, from their median."""
+    error = scene.errors()[scene.accepted]
+    if not len(error):
+        return FINEST_PX
+    return max(float(error.median()) / (TAIL * (2.0 ** (2.0 / TAIL) - 1.0)) ** 0.5, FINEST_PX)
+
+
+def _unlikelihood(error: Float[Tensor, " k"]) -> Float[Tensor, " k"]:
+    """Minus twice the logarithm of the likelihood of errors in two coordinates, in units of their scale."""
+    return (TAIL + 2.0) * torch.log1p(error.square() / TAIL)
+
+
+def _excess(scene: Scene, sigma: float) -> Float[Tensor, " n"]:
+    """By how much the points, where they are, are unlikelier than is usual; infinite where they have no place."""
+    seen, count = scene.observations, len(scene.points)
+    rows = scene.views.registered[seen.view]
+    cost = _unlikelihood(scene.errors()[rows] / sigma)
+    usual = cost[scene.accepted[rows]].median()
+    return torch.where(scene.placed, segment_sum((cost - usual)[:, None], seen.point[rows], count)[:, 0], torch.inf)
