@@ -223,7 +223,7 @@ def _lost(scene: Scene, survey: Survey) -> dict[str, Any]:
 def _write(scene: Scene, folder: Path, binary: bool) -> None:
     write_colmap(scene, folder / MODEL, binary, _point_errors(scene))
     write_water(scene, folder / WATER)
-    write_points(scene.points, scene.colors, folder / "points.ply", scene.assessment.point_sigma)
+    write_points(scene.points, scene.colors, folder / "points.ply", scene.assessment.point_sigma, scene.dry)
     write_tracks(scene, folder / TRACKS)
     if len(scene.cameras) == 1 and scene.interfaces.is_level:
         write_cameras(scene, folder / "cameras.json")

@@ -27,6 +27,8 @@ MOSTLY_DRY, VAGUE = 0.5, 0.2
 water was put where it does nothing."""
 VAGUE_DEG = 1.5
 """Error of verticals that nobody measured beyond which heights are not to be trusted."""
+FEWEST_DISPUTED, DISPUTED = 20, 0.02
+"""Points, and share of all, that contradict where the water is stated to end: near its edge some always do."""
 AIR = 1.02
 """An index ratio below which there is no water."""
 
@@ -37,7 +39,8 @@ def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     about_images = (*_duplicates(stated), *_weak_images(scene))
     if scene.index_ratio <= 1.0:
         return about_images
-    return (*_given(scene), *_gravity(scene, stated), *_heights(scene, stated), *about_images)
+    about_water = (*_given(scene), *_outside_water(scene, stated))
+    return (*about_water, *_gravity(scene, stated), *_heights(scene, stated), *about_images)
 
 
 def _duplicates(stated: Capture) -> list[Finding]:
@@ -166,6 +169,28 @@ def _given(scene: Scene) -> list[Finding]:
         )
         found.append(Finding(WarningCode.INTRINSICS_CONTRADICT, message))
     return found
+
+
+def _outside_water(scene: Scene, stated: Capture) -> list[Finding]:
+    """Points that are not seen through water, where nobody says where it ends; or that contradict who does."""
+    if stated.water_extent is None:
+        count = int(scene.outside_water().sum())
+        if count == 0:
+            return []
+        message = (
+            f"{count} points, {100.0 * count / len(scene.points):.0f} % of all, lie below the water's level, but are "
+            "seen straight, without water before them, and were placed so; state where the water ends: water_extent in "
+            "capture.json"
+        )
+        return [Finding(WarningCode.POINTS_OUTSIDE_WATER, message)]
+    straight, through_water = scene.assessment.disputed
+    least = max(FEWEST_DISPUTED, DISPUTED * len(scene.points))
+    found = [f"{straight} points within it are seen straight"] if straight >= least else []
+    found += [f"{through_water} points beyond it are seen through water"] if through_water >= least else []
+    if not found:
+        return []
+    message = f"the images contradict water_extent: {' and '.join(found)}; these were placed as the images show"
+    return [Finding(WarningCode.POINTS_OUTSIDE_WATER, message)]
 
 
 def _names(scene: Scene, which: Bool[Tensor, " m"]) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -115,18 +115,25 @@ def _assessment(registered: list[Fields]) -> Assessment:
 
 
 def write_points(
-    points: Float[Tensor, "n 3"], colors: UInt8[Tensor, "n 3"], path: Path, sigma: Float[Tensor, " n"] | None = None
+    points: Float[Tensor, "n 3"],
+    colors: UInt8[Tensor, "n 3"],
+    path: Path,
+    sigma: Float[Tensor, " n"] | None = None,
+    dry: Bool[Tensor, " n"] | None = None,
 ) -> None:
     """Write a coloured point cloud as binary PLY.
 
     Coordinates are float32, or float64 where that would round away what is known of them, as far from the origin of a
-    map. sigma: standard deviations of the points, written as the property `sigma` of the vertices (float32).
+    map. sigma: standard deviations of the points, written as the property `sigma` of the vertices (float32); dry: which
+    of them are seen straight although they lie below the water's level, as the property `dry` (1: yes).
     """
     kind = kind_of_coordinates(points, sigma)
     columns = [(name, kind, value) for name, value in zip("xyz", points.T, strict=True)]
     columns += [(name, "u1", value) for name, value in zip(("red", "green", "blue"), colors.T, strict=True)]
     if sigma is not None:
         columns.append(("sigma", "f4", sigma))
+    if dry is not None:
+        columns.append(("dry", "u1", dry))
     write_vertices(columns, path)
 
 

@@ -17,8 +17,8 @@ def refract_rays(
 
     center: on the camera's side; direction: in the camera's medium, of any length. Returns where the ray enters the
     last medium, its unit direction there, and a mask: False where the ray does not go towards the interface, is totally
-    reflected on the way, or starts on the wrong side, and where the interface lies infinitely deep. There the ray is returned as it came, from the centre. Without
-    refraction every ray that meets the plane is valid.
+    reflected on the way, or starts on the wrong side, and where the interface lies infinitely deep. There the ray is
+    returned as it came, from the centre. Without refraction every ray that meets the plane is valid.
     """
 
     def refract(center: Vectors, direction: Vectors, *parameters: Parameter) -> tuple[Vectors, Vectors, Mask]:

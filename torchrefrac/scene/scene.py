@@ -30,7 +30,9 @@ class Assessment:
     center_covariance: of the centres in world axes, length_unit squared. index_ratio_sigma: None where it was given.
     determined: sentences about water, intrinsics and scale; fixed: what was to be refined, but is not determined, and
     why. wished: by how much "index_ratio" and the logarithm of the "focal" length, which were given, would change if
-    the images had a say, and the standard deviations of these changes.
+    the images had a say, and the standard deviations of these changes. disputed: how many tracks are seen straight, as
+    their observations say, though they lie within the stated extent of the water, and how many through water, though
+    beyond.
     """
 
     pixel_sigma: float | None = None
@@ -41,6 +43,7 @@ class Assessment:
     determined: tuple[str, ...] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)
     wished: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    disputed: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +52,9 @@ class Scene:
 
     World: z up, the (first) interface at z = 0 unless a file says otherwise; lengths in length_unit. Points have a
     position where `placed`, and colours (RGB); those that are `dry` are seen straight even below the surface, as there
-    is no water before them (None: no point is known to be so). Observations ascend by point; `accepted` are those that support a placed
-    point in a registered view. failures: why a view is not registered, by name. findings: what the images say against
-    what was stated. capture: the photographs of the views, in their order, where they are at hand.
+    is no water before them (None: no point is known to be so). Observations ascend by point; `accepted` are those that
+    support a placed point in a registered view. failures: why a view is not registered, by name. findings: what the
+    images say against what was stated. capture: the photographs of the views, in their order, where they are at hand.
 
     Raises SceneError where shapes do not fit together, an index is out of range or observations do not ascend.
     """
@@ -76,8 +79,9 @@ class Scene:
         cls, capture: Capture, observations: Observations, colors: UInt8[Tensor, "n 3"], index_ratio: float
     ) -> "Scene":
         """Before anything is known: views without poses, points (the tracks of `observations`) without positions,
-        behind interfaces of this index ratio."""
-        m, n, interfaces = len(capture), len(colors), capture.interfaces
+        behind interfaces of this index ratio; dry where most photographs in which the water's extent is drawn show
+        them outside."""
+        m, n, interfaces, extent = len(capture), len(colors), capture.interfaces, capture.water_extent
         posed = torch.zeros(m, dtype=torch.bool)
         return cls(
             cameras=capture.cameras,
@@ -88,6 +92,7 @@ class Scene:
             placed=torch.zeros(n, dtype=torch.bool),
             observations=observations,
             accepted=torch.zeros(len(observations), dtype=torch.bool),
+            dry=extent.all_votes(observations, n) > 0 if extent is not None and extent.is_drawn else None,
             length_unit=capture.length_unit,
             capture=capture,
         )
@@ -201,6 +206,21 @@ class Scene:
         """How many accepted observations each view has."""
         return torch.bincount(self.observations.view[self.accepted], minlength=len(self.views))
 
+    def above_water(self) -> Bool[Tensor, " n"]:
+        """Points above the surface that the first view with an observation of them looks through, or the first."""
+        seen, interfaces = self.observations, self.interfaces
+        if len(interfaces) == 1 or not len(seen):
+            return interfaces.planes.indexed(0, (len(interfaces),)).signed_distance(self.points) > 0.0
+        first = torch.searchsorted(seen.point, torch.arange(len(self.points))).clamp(max=len(seen) - 1)
+        interface = self.views.interface[seen.view[first]]
+        return interfaces.planes.indexed(interface, (len(interfaces),)).signed_distance(self.points) > 0.0
+
+    def outside_water(self) -> Bool[Tensor, " n"]:
+        """Placed points that lie below the surface, but not under water."""
+        if self.dry is None:
+            return torch.zeros_like(self.placed)
+        return self.placed & self.dry & ~self.above_water()
+
     def detached(self) -> "Scene":
         """The same without a graph."""
         pose = Rigid(self.views.rotation.detach(), self.views.center.detach())
@@ -298,7 +318,6 @@ class Scene:
         first[order[1:][repeats]] = False
         several = torch.bincount(seen.point[first], minlength=n) >= 2
         return replace(self, accepted=first & several[seen.point]).trimmed()
-
 
     def _dry_of(self, points: Int[Tensor, " p"]) -> Bool[Tensor, " p"] | None:
         return None if self.dry is None else self.dry[points]

@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
+from torchrefrac.geometry import Similarity
 from torchrefrac.numerics import segment_sum
 from torchrefrac.refinement import refine_points
-from torchrefrac.scene import Scene, reprojection_errors
+from torchrefrac.scene import Scene, WaterExtent, reprojection_errors
 from torchrefrac.sfm.rays import Tracks
 from torchrefrac.sfm.rules import Rules
 
@@ -51,44 +52,80 @@ class Evidence:
         """Which tracks are seen straight beyond doubt, whatever their neighbours are."""
         return (self.views >= ENOUGH_VIEWS) & (self.ratio > CLEAR + DECIDED)
 
+    @property
+    def clearly_wet(self) -> Bool[Tensor, " l"]:
+        """Which tracks are seen through water beyond doubt."""
+        return (self.views >= ENOUGH_VIEWS) & (self.ratio < -CLEAR - DECIDED)
+
     def notable(self, tracks: int) -> bool:
         """Whether more of them are clear than mistakes would be among so many tracks."""
         return int(self.clear.sum()) >= max(FEWEST, LEAST_SHARE * tracks)
 
-    def dry(self) -> Bool[Tensor, " l"]:
-        """Which are seen straight: by themselves, or with their neighbours' evidence."""
-        known = self.ratio.clamp(-CLEAR, CLEAR)
+    def dry(self, stated: Int[Tensor, " l"]) -> Bool[Tensor, " l"]:
+        """Which are seen straight: by themselves, with their neighbours' evidence, or as is stated (1: straight, -1:
+        through water, 0: nothing) unless a track of several views is clear against it."""
+        own = torch.where(self.views >= ENOUGH_VIEWS, self.ratio, self.ratio.clamp(-CLEAR, CLEAR))
+        own = own + (CLEAR + DECIDED) * stated
+        known = own.clamp(-CLEAR, CLEAR)
         count = min(NEIGHBOURS, len(known) - 1)
         if count < 1:
-            return self.clear
+            return own > DECIDED
         place = self.place.cpu().numpy()
-        _, near = cKDTree(place).query(place, np.arange(2, count + 2))  # the first is the track itself
+        _, near = KDTree(place).query(place, np.arange(2, count + 2))  # the first is the track itself
         around = known[torch.from_numpy(near).to(known.device)].mean(dim=1)
-        return self.ratio + around > DECIDED
+        return torch.where(stated != 0, own > 0.0, own + around > DECIDED)
 
 
-def find_dry(scene: Scene, rules: Rules) -> Bool[Tensor, " n"] | None:
+def find_dry(scene: Scene, rules: Rules, stated: Int[Tensor, " n"] | None = None) -> Bool[Tensor, " n"] | None:
     """Which points are seen straight though they lie below the surface; None where nothing speaks for any.
 
     All tracks that two registered views see are judged, placed or not, whatever the scene takes them for. Poses and
-    water must be nearly right. None also where next to no track speaks for water: then its index ratio, or that there
-    is water at all, is in doubt, and not where it ends.
+    water must be nearly right. stated: see `stated_sides`. Where nothing is, None also if next to no track speaks for
+    water: then its index ratio, or that there is water at all, is in doubt, and not where it ends.
     """
     if not scene.interfaces.refract():
         return None
-    seen = scene.observations
-    length = torch.bincount(seen.point[scene.views.registered[seen.view]], minlength=len(scene.points))
-    several, sigma = length >= 2, _pixel_sigma(scene)
+    length, sigma = _views_of_points(scene), _pixel_sigma(scene)
     tracks = int((length >= ENOUGH_VIEWS).sum())
-    if scene.dry is None:
+    if scene.dry is None and stated is None:
         doubtful = (length >= ENOUGH_VIEWS) & (_excess(scene, sigma) > CLEAR + DECIDED)
         if not evidence(scene, doubtful, rules, sigma).notable(tracks):
             return None
-    found = evidence(scene, several, rules, sigma)
-    wet = int((found.ratio < -CLEAR).sum())
-    if not found.notable(tracks) or wet < LEAST_WATER * (wet + int(found.clear.sum())):
-        return None
-    return torch.zeros_like(scene.placed).index_fill(0, found.ids[found.dry()], True)
+    found = evidence(scene, length >= 2, rules, sigma)
+    if stated is None:
+        stated = torch.zeros_like(length)
+        clear, wet = int(found.clear.sum()), int(found.clearly_wet.sum())
+        if not found.notable(tracks) or wet < LEAST_WATER * (wet + clear):
+            return None
+    dry = (stated > 0).index_copy(0, found.ids, found.dry(stated[found.ids]))
+    return dry if bool(dry.any()) else None
+
+
+def stated_sides(scene: Scene, extent: WaterExtent, final: Similarity) -> Int[Tensor, " n"]:
+    """On which side of the stated border of the water each point lies: 1 beyond, -1 within, 0 where that is not known.
+
+    Most photographs in which the border is drawn decide, and where these say nothing the border as seen from above, in
+    the frame to which `final` leads. Of tracks that are not placed the place is where their rays meet in air.
+    """
+    seen = scene.observations
+    sides = extent.all_votes(seen, len(scene.points)).sign()
+    if extent.from_above is not None:
+        several = _views_of_points(scene) >= 2
+        rows = (scene.views.registered[seen.view] & several[seen.point]).nonzero()[:, 0]
+        tracks = Tracks.of(replace(scene, dry=torch.ones_like(scene.placed)), rows)
+        points, _, _ = tracks.meet()
+        from_above = 2 * extent.beyond(final.apply(points)).long() - 1
+        sides[tracks.ids] = torch.where(sides[tracks.ids] == 0, from_above, sides[tracks.ids])
+    return sides
+
+
+def disputed(scene: Scene, rules: Rules, stated: Int[Tensor, " n"]) -> tuple[int, int]:
+    """How many tracks are clearly seen straight though stated to be under water, and the other way round."""
+    if not scene.interfaces.refract():
+        return 0, 0
+    found = evidence(scene, _views_of_points(scene) >= ENOUGH_VIEWS, rules, _pixel_sigma(scene))
+    sides = stated[found.ids]
+    return int((found.clear & (sides < 0)).sum()), int((found.clearly_wet & (sides > 0)).sum())
 
 
 def with_dry(scene: Scene, dry: Bool[Tensor, " n"] | None) -> Scene:
@@ -103,7 +140,7 @@ def same_dry(first: Bool[Tensor, " n"] | None, second: Bool[Tensor, " n"] | None
     """Whether the same points are dry, but for so few that it does not matter."""
     if first is None or second is None:
         return first is second
-    return int((first != second).sum()) < LEAST_SHARE * int(second.sum())
+    return int((first != second).sum()) <= LEAST_SHARE * int(second.sum())
 
 
 def evidence(scene: Scene, wanted: Bool[Tensor, " n"], rules: Rules, sigma: float) -> Evidence:
@@ -143,6 +180,12 @@ class _Fit:
             below=tracks.height(estimate.points) < 0.0,
             views=torch.bincount(slot, minlength=len(start)),
         )
+
+
+def _views_of_points(scene: Scene) -> Int[Tensor, " n"]:
+    """How many registered views see each point."""
+    seen = scene.observations
+    return torch.bincount(seen.point[scene.views.registered[seen.view]], minlength=len(scene.points))
 
 
 def _pixel_sigma(scene: Scene) -> float:

@@ -8,8 +8,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
-from torchrefrac.geometry import Rigid
+from torchrefrac.geometry import Plane, Rigid
 from torchrefrac.refraction import FlatInterface
+from torchrefrac.scene.interfaces import without_water
 from torchrefrac.sfm.rays import Rays
 
 Pixels = tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]]
@@ -55,11 +56,17 @@ class PoseInitializer(Protocol):
 
 
 def judge_pair(
-    pose: Rigid, pixels: Pixels, intrinsics: Intrinsics, index_ratio: Float[Tensor, ""], max_error: float
+    pose: Rigid,
+    pixels: Pixels,
+    intrinsics: Intrinsics,
+    index_ratio: Float[Tensor, ""],
+    max_error: float,
+    dry: Bool[Tensor, " k"] | None = None,
 ) -> PairPose:
-    """Which matches, of points in the water or in air, reproject within max_error in both images of a pose."""
+    """Which matches, of points in the water or in air, reproject within max_error in both images of a pose. dry: those
+    without water before them, by default none."""
     both = torch.stack(pixels, dim=1)
-    camera = cameras_of(intrinsics, pose, index_ratio)
+    camera = cameras_of(intrinsics, pose, index_ratio, None if dry is None else dry[:, None])
     points, angle, valid = meet(camera, both)
     projected, possible = camera.project(points[:, None])
     error = (projected - both).norm(dim=-1).amax(dim=-1)
@@ -75,6 +82,10 @@ def meet(
     return Rays.of(camera, both).meet(lambda points: points[..., 2])
 
 
-def cameras_of(intrinsics: Intrinsics, pose: Rigid, index_ratio: Float[Tensor, ""]) -> RefractiveCamera:
-    """Those of a pair, above a level surface."""
-    return RefractiveCamera(intrinsics, pose.rotation, pose.center, FlatInterface(index_ratio), check=False)
+def cameras_of(
+    intrinsics: Intrinsics, pose: Rigid, index_ratio: Float[Tensor, ""], dry: Bool[Tensor, "k 1"] | None = None
+) -> RefractiveCamera:
+    """Those of a pair, above a level surface; or a pair for each of k matches, without water where it is `dry`."""
+    plane = Plane() if dry is None else Plane(offset=without_water(torch.zeros_like(index_ratio), dry), check=False)
+    interface = FlatInterface(index_ratio, plane=plane)
+    return RefractiveCamera(intrinsics, pose.rotation, pose.center, interface, check=False)

@@ -1,4 +1,4 @@
-"""A basin of water on a table: much of what is seen lies below the water's level, but not under water. Lengths in cm."""
+"""A basin of water on a table: much of what is seen lies below the water's level, but not in it. Lengths in cm."""
 
 from dataclasses import dataclass
 
