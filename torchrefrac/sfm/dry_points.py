@@ -8,7 +8,6 @@ What one track leaves open its neighbours decide.
 
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
@@ -71,8 +70,8 @@ class Evidence:
         if count < 1:
             return own > DECIDED
         place = self.place.cpu().numpy()
-        _, near = KDTree(place).query(place, np.arange(2, count + 2))  # the first is the track itself
-        around = known[torch.from_numpy(near).to(known.device)].mean(dim=1)
+        _, near = (torch.as_tensor(found) for found in KDTree(place).query(place, count + 1))
+        around = known[near[:, 1:].to(known.device)].mean(dim=1)  # the first is the track itself
         return torch.where(stated != 0, own > 0.0, own + around > DECIDED)
 
 
