@@ -33,7 +33,7 @@ FEWEST, LEAST_SHARE = 20, 5e-3
 """Clear tracks, and their share of all, below which they are mistakes of matching, and nothing is seen straight."""
 LEAST_WATER = 0.02
 """Share of clear tracks that must speak for water: where hardly any does there is none, whatever was stated."""
-FINEST_PX = 1e-3
+FINEST_PX, MOST_STEPS = 1e-3, 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +169,7 @@ class _Fit:
         tracks = Tracks.of(assumed, rows)
         cameras, pixels, slot = tracks.cameras, tracks.pixels, tracks.slot
         start, angle, meets = tracks.meet()
-        estimate = refine_points(cameras, pixels, slot, start, sigma, rules.bundle.loss_scale)
+        estimate = refine_points(cameras, pixels, slot, start, sigma, rules.bundle.loss_scale, MOST_STEPS)
         error = reprojection_errors(cameras, estimate.points[slot], pixels).clamp(max=rules.max_error)
         return cls(
             ids=tracks.ids,
