@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import WaterExtent
-from torchrefrac.sfm import Rules, filter_points, triangulate
+from torchrefrac.sfm import Rules, filter_points, readjust, triangulate
 from torchrefrac.sfm.dry_points import disputed, evidence, find_dry, stated_sides, with_dry
 
 RULES = Rules(min_angle_deg=0.5)
@@ -21,7 +21,7 @@ def table(survey_of, draw):
     """`table(share)`: a finished scene that takes all points for being in the water, and which of them are not: those
     with a large x."""
 
-    def make(share=0.4, points=400, **options):
+    def make(share=0.4, points=300, **options):
         survey = survey_of(cameras=6, points=points, noise=0.0, **options)
         scene = survey.scene(with_points=True)
         x = scene.points[:, 0]
@@ -170,3 +170,18 @@ class TestStatedExtent:
         assert through_water == 0
         assert int((found & truth).sum()) >= straight
         assert int((found & ~truth).sum()) == 0
+
+
+def test_adjusting_again_finds_the_dry_points_or_believes_what_is_known_of_them(table):
+    scene, truth = table(points=150)
+    everything = replace(scene, accepted=torch.ones_like(scene.accepted), placed=torch.ones_like(scene.placed))
+
+    found, _ = readjust(everything)
+    known, _ = readjust(replace(everything, dry=truth))
+
+    assert found.dry is not None
+    assert (found.dry == truth).double().mean() > 0.98
+    assert torch.equal(known.dry, truth)
+    for adjusted in (found, known):
+        assert adjusted.errors()[adjusted.accepted].median() < 2.0 * NOISE
+        assert adjusted.placed[truth].double().mean() > 0.95

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchrefrac.geometry import Similarity
-from torchrefrac.numerics import segment_sum
+from torchrefrac.numerics import segment_sum, thin
 from torchrefrac.refinement import refine_points
 from torchrefrac.scene import Scene, WaterExtent, reprojection_errors
 from torchrefrac.sfm.rays import Tracks
@@ -33,7 +33,8 @@ FEWEST, LEAST_SHARE = 20, 5e-3
 """Clear tracks, and their share of all, below which they are mistakes of matching, and nothing is seen straight."""
 LEAST_WATER = 0.02
 """Share of clear tracks that must speak for water: where hardly any does there is none, whatever was stated."""
-FINEST_PX, MOST_STEPS = 1e-3, 20
+FINEST_PX, MOST_STEPS = 1e-3, 40
+SAMPLE = 500  # of doubtful tracks, which show whether it is worth while to look at all
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +57,10 @@ class Evidence:
         """Which tracks are seen through water beyond doubt."""
         return (self.views >= ENOUGH_VIEWS) & (self.ratio < -CLEAR - DECIDED)
 
-    def notable(self, tracks: int) -> bool:
-        """Whether more of them are clear than mistakes would be among so many tracks."""
-        return int(self.clear.sum()) >= max(FEWEST, LEAST_SHARE * tracks)
+    def notable(self, tracks: int, share: float = 1.0) -> bool:
+        """Whether more of them are clear than mistakes would be among so many tracks; they are a share of all that may
+        be clear."""
+        return int(self.clear.sum()) >= share * max(FEWEST, LEAST_SHARE * tracks)
 
     def dry(self, stated: Int[Tensor, " l"]) -> Bool[Tensor, " l"]:
         """Which are seen straight: by themselves, with their neighbours' evidence, or as is stated (1: straight, -1:
@@ -87,8 +89,10 @@ def find_dry(scene: Scene, rules: Rules, stated: Int[Tensor, " n"] | None = None
     length, sigma = _views_of_points(scene), _pixel_sigma(scene)
     tracks = int((length >= ENOUGH_VIEWS).sum())
     if scene.dry is None and stated is None:
-        doubtful = (length >= ENOUGH_VIEWS) & (_excess(scene, sigma) > CLEAR + DECIDED)
-        if not evidence(scene, doubtful, rules, sigma).notable(tracks):
+        doubtful = ((length >= ENOUGH_VIEWS) & (_excess(scene, sigma) > CLEAR + DECIDED)).nonzero()[:, 0]
+        some = thin(doubtful, SAMPLE)
+        wanted = torch.zeros_like(scene.placed).index_fill(0, some, True)
+        if not len(some) or not evidence(scene, wanted, rules, sigma).notable(tracks, len(some) / len(doubtful)):
             return None
     found = evidence(scene, length >= 2, rules, sigma)
     if stated is None:

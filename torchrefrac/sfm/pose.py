@@ -9,9 +9,12 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.geometry import Plane, Rigid
+from torchrefrac.minimal import triangulate
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.scene.interfaces import without_water
 from torchrefrac.sfm.rays import Rays
+
+DEEPEST = 5.0  # times the height of the cameras, of what is seen straight below the water's level
 
 Pixels = tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]]
 
@@ -28,12 +31,14 @@ class Pose:
 @dataclass(frozen=True, eq=False)
 class PairPose:
     """Two cameras in a frame of their own, which matches agree, and the median angle (radians) between their rays.
-    Without a pose where the inliers agree on one but do not determine it."""
+    Without a pose where the inliers agree on one but do not determine it. straight: other matches that agree if nothing
+    is bent, below the water's level; None: nobody looked."""
 
     rotation: Float[Tensor, "2 3 3"] | None
     center: Float[Tensor, "2 3"] | None
     inliers: Bool[Tensor, " k"]
     median_angle: float
+    straight: Bool[Tensor, " k"] | None = None
 
 
 class PoseInitializer(Protocol):
@@ -72,7 +77,23 @@ def judge_pair(
     error = (projected - both).norm(dim=-1).amax(dim=-1)
     inliers = valid & possible.all(dim=-1) & (error < max_error)
     median = float(angle[inliers].median()) if bool(inliers.any()) else 0.0
-    return PairPose(pose.rotation, pose.center, inliers, median)
+    return PairPose(pose.rotation, pose.center, inliers, median, _straight(camera, both, inliers, max_error))
+
+
+def _straight(
+    camera: RefractiveCamera, both: Float[Tensor, "k 2 2"], inliers: Bool[Tensor, " k"], max_error: float
+) -> Bool[Tensor, " k"]:
+    """Which matches that are no inliers reproject within max_error from a place below the surface, seen straight."""
+    straight, rows = torch.zeros_like(inliers), (~inliers).nonzero()[:, 0]
+    pinholes = RefractiveCamera(
+        camera.intrinsics, camera.cam_from_world_rotation, camera.center_in_world, FlatInterface(1.0), check=False
+    )
+    points, valid = triangulate(pinholes.center_in_world.expand(len(rows), 2, 3), pinholes.view_directions(both[rows]))
+    projected, possible = pinholes.project(points[:, None])
+    error = (projected - both[rows]).norm(dim=-1).amax(dim=-1)
+    deepest = -DEEPEST * float(pinholes.center_in_world[:, 2].max())
+    below = (points[:, 2] < 0.0) & (points[:, 2] > deepest)
+    return straight.index_copy(0, rows, valid & possible.all(dim=-1) & (error < max_error) & below)
 
 
 def meet(
