@@ -8,7 +8,7 @@ import torch
 from scipy.optimize import least_squares
 
 from torchrefrac.geometry import Similarity
-from torchrefrac.scene import WaterExtent
+from torchrefrac.scene import Scene, WaterExtent
 from torchrefrac.sfm import Rules, filter_points, readjust, triangulate
 from torchrefrac.sfm.dry_points import disputed, evidence, find_dry, stated_sides, with_dry
 
@@ -185,3 +185,19 @@ def test_adjusting_again_finds_the_dry_points_or_believes_what_is_known_of_them(
     for adjusted in (found, known):
         assert adjusted.errors()[adjusted.accepted].median() < 2.0 * NOISE
         assert adjusted.placed[truth].double().mean() > 0.95
+
+
+def test_tracks_are_dry_where_most_photographs_with_a_drawn_extent_show_them_outside(survey_of):
+    survey, edge = survey_of(cameras=4, points=80), 500.0
+    left = torch.tensor([(-9.0, -9.0), (edge, -9.0), (edge, 999.0), (-9.0, 999.0)], dtype=torch.float64)
+    capture = replace(survey.capture, water_extent=WaterExtent(None, (left, None, left, left)))
+
+    scene = Scene.of_capture(capture, survey.seen, survey.colors, 1.333)
+
+    seen, votes = scene.observations, [0] * 80
+    for view, point, (x, _) in zip(seen.view.tolist(), seen.point.tolist(), seen.pixels.tolist(), strict=True):
+        votes[point] += 0 if view == 1 else 1 if x > edge else -1
+    assert scene.dry.tolist() == [vote > 0 for vote in votes]
+    assert 0 < sum(scene.dry.tolist()) < 80
+    assert Scene.of_capture(capture, survey.seen, survey.colors, 1.0).dry is None
+    assert Scene.of_capture(survey.capture, survey.seen, survey.colors, 1.333).dry is None

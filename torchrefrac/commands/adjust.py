@@ -200,6 +200,9 @@ def _summary(given: Scene, adjusted: Scene, outcome: Outcome) -> dict[str, Any]:
         "held": dict(known.fixed),
         "adjustment": outcome.report.status,
     }
+    outside = int(adjusted.outside_water().sum())
+    if outside:
+        metrics["points_outside_water"] = outside
     if known.point_sigma is not None:
         metrics[f"point_sigma_median_{unit}"] = float(known.point_sigma.median())
     return metrics

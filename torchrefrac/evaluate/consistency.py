@@ -142,7 +142,8 @@ def _given(scene: Scene) -> list[Finding]:
     """What was given of water and lens."""
     wished, found = scene.assessment.wished, []
     step, sigma = wished.get("index_ratio", (0.0, 0.0))
-    wet = float((scene.points[scene.placed, 2] < 0.0).double().mean()) if len(scene.points) else 1.0
+    in_water = (scene.points[:, 2] < 0.0) & ~scene.outside_water()
+    wet = float(in_water[scene.placed].double().mean()) if len(scene.points) else 1.0
     if wet < MOSTLY_DRY and sigma > VAGUE * (scene.index_ratio - 1.0):
         message = (
             f"the images show no refraction: they place {100.0 * (1.0 - wet):.0f} % of the points above the water, and "

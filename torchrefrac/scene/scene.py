@@ -81,7 +81,8 @@ class Scene:
         """Before anything is known: views without poses, points (the tracks of `observations`) without positions,
         behind interfaces of this index ratio; dry where most photographs in which the water's extent is drawn show
         them outside."""
-        m, n, interfaces, extent = len(capture), len(colors), capture.interfaces, capture.water_extent
+        m, n, interfaces = len(capture), len(colors), capture.interfaces
+        extent = capture.water_extent if index_ratio > 1.0 else None
         posed = torch.zeros(m, dtype=torch.bool)
         return cls(
             cameras=capture.cameras,
