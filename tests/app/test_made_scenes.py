@@ -183,7 +183,7 @@ def test_a_table_around_a_basin_is_seen_straight(torchrefrac, metrics, tmp_path,
     assert scene.outside_water()[outside & below].double().mean() > 0.98
     inside = places.known & inside_polygon(places.points[:, :2], 0.97 * truth.water_extent)
     assert scene.outside_water()[inside].double().mean() < 0.005
-    assert found["points_outside_water"] == pytest.approx(int((outside & below).sum()), rel=0.03)
+    assert found["points_outside_water"] == pytest.approx(int((outside & below).sum()), rel=0.1)
     error = (alignment.apply(scene.points) - places.points).norm(dim=-1)
     sigma = torch.from_numpy(read_vertices(tmp_path / "run" / "points.ply")[0]["sigma"].copy())
     of_all = (error / (3.0**0.5 * sigma))[outside & below]
