@@ -39,6 +39,8 @@ def test_each_medium_has_its_points_and_cameras_that_look_through_it(scene):
 def test_a_pixel_looks_where_the_nearest_observed_point_lies(scene):
     wet, straight = media_of(scene)
     seen = scene.observations[scene.observations.view == 2]
+    assert wet.where is not None
+    assert straight.where is not None
     past = straight.where(2)
     assert past.shape == (768, 1024)
     assert torch.equal(past, ~wet.where(2))
@@ -52,6 +54,7 @@ def test_where_the_extent_is_drawn_that_decides(scene):
     left = torch.tensor([(-1.0, -1.0), (512.0, -1.0), (512.0, 800.0), (-1.0, 800.0)], dtype=torch.float64)
     capture = replace(scene.capture, water_extent=WaterExtent(None, (None, left, None, None)))
     _, straight = media_of(replace(scene, capture=capture))
+    assert straight.where is not None
     assert torch.equal(straight.where(1), (torch.arange(1024) >= 512).expand(768, -1))
     assert not torch.equal(straight.where(0), straight.where(1))
 
