@@ -1,10 +1,24 @@
 """Made scenes in full, through the command: how wrong a run is is known, and refraction is what makes it right."""
 
 import csv
+import json
+import shutil
 
 import numpy as np
 import pytest
+import torch
 import trimesh
+
+from torchrefrac.camera import RefractiveCamera
+from torchrefrac.evaluate.metrics import evaluate
+from torchrefrac.evaluate.point_errors import true_places
+from torchrefrac.evaluate.true_surface import TrueSurface
+from torchrefrac.files.ply import read_vertices
+from torchrefrac.files.tracks import read_run
+from torchrefrac.files.truth import load_truth
+from torchrefrac.geometry.polygon import inside_polygon
+from torchrefrac.refraction import FlatInterface
+from torchrefrac.synthetic import CameraOptions, SensorOptions, TableOptions, made_scene
 
 CLEARLY = 50.0
 """How many times the other models must be worse."""
@@ -121,3 +135,57 @@ def test_photographs_of_another_renderer_leave_cameras_as_wrong_as_our_own(run, 
     assert (theirs["registered_images"], ours["registered_images"]) == (12, 12)
     for found in (theirs, ours):
         assert 0.0 < found["camera_rms_cm"] < 0.02
+
+
+@pytest.fixture(scope="module")
+def table(made_once):
+    """A rendered table of eight photographs, and its true extent of the water in each photograph, pixels."""
+
+    def make(folder):
+        camera, sensor = CameraOptions(width=640, height=480), SensorOptions(samples=2)
+        made = made_scene(TableOptions(name="table", images=8, camera=camera, sensor=sensor), folder / "cache")
+        shutil.copytree(made, folder / "silent")
+        shutil.copytree(made, folder / "stated")
+        truth, path = load_truth(made), folder / "stated" / "capture.json"
+        assert truth is not None
+        assert truth.water_extent is not None
+        corners = torch.nn.functional.pad(truth.water_extent, (0, 1))
+        straight = RefractiveCamera(truth.intrinsics, truth.rotation, truth.center, FlatInterface(1.0))
+        pixels, _ = straight[:, None].project(corners)
+        content = json.loads(path.read_text())
+        for image, extent in zip(content["images"], pixels.tolist(), strict=True):
+            image["water_extent"] = extent
+        path.write_text(json.dumps(content))
+
+    return made_once("table", make)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["silent", "stated"])
+def test_a_table_around_a_basin_is_seen_straight(torchrefrac, metrics, tmp_path, table, kind):
+    ended = torchrefrac("scene=capture", f"scene.path={table / kind}", "out=run")
+    assert ended.status == 0, ended.err
+
+    found = metrics(tmp_path / "run")
+    codes = [warning["code"] for warning in found["warnings"]]
+    assert codes == ([] if kind == "stated" else ["points_outside_water"])
+    assert found["registered_images"] == 8
+    assert found["camera_rms_cm"] < 0.1
+    scene, truth = read_run(tmp_path / "run"), load_truth(table / "silent")
+    assert truth is not None
+    _, alignment = evaluate(scene, truth)
+    places = true_places(scene, TrueSurface(truth))
+    assert alignment is not None
+    assert places is not None
+    outside = places.known & ~inside_polygon(places.points[:, :2], 1.01 * truth.water_extent)
+    below = places.points[:, 2] < -1.0
+    assert int((outside & below).sum()) > 150
+    assert scene.outside_water()[outside & below].double().mean() > 0.98
+    inside = places.known & inside_polygon(places.points[:, :2], 0.97 * truth.water_extent)
+    assert scene.outside_water()[inside].double().mean() < 0.005
+    assert found["points_outside_water"] == pytest.approx(int((outside & below).sum()), rel=0.1)
+    error = (alignment.apply(scene.points) - places.points).norm(dim=-1)
+    sigma = torch.from_numpy(read_vertices(tmp_path / "run" / "points.ply")[0]["sigma"].copy())
+    of_all = (error / (3.0**0.5 * sigma))[outside & below]
+    assert of_all.median() < 3.0
+    assert error[outside & below].median() < 1.5 * error[inside].median()

@@ -115,7 +115,7 @@ def test_a_quiet_run_that_fails_says_its_one_error(torchrefrac, metrics, tmp_pat
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["scene=pond"], "scene is 'pond', but must be one of cans, capture, mesh, riverbed, tank, tank_small"),
+        (["scene=pond"], "scene is 'pond', but must be one of cans, capture, mesh, riverbed, table, tank, tank_small"),
         (["scene=tank", "scene.index_ratio=abc"], "scene.index_ratio is 'abc', but must be a number"),
         (["scene=tank", "scene.altitude=30"], "scene.altitude is not an option; known here are camera, depth, "),
         (["scene=tank_small", "scene.depth=90"], "scene.depth is not an option; known here are name, path"),

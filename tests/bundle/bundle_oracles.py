@@ -10,7 +10,7 @@ from torchrefrac.scene import Observations, Scene
 
 def errors_of(state: Scene, seen: Observations) -> Tensor:
     """Projection minus pixel (N, 2)."""
-    return state.camera_of(seen.view).project(state.points[seen.point])[0] - seen.pixels
+    return state.cameras_of(seen).project(state.points[seen.point])[0] - seen.pixels
 
 
 def moved(layout: Layout, state: Scene, step: Tensor) -> Scene:

@@ -1,6 +1,7 @@
 """Weighted residuals and their derivatives, row by row."""
 
 import shutil
+from dataclasses import replace
 
 import pytest
 import torch
@@ -41,6 +42,26 @@ def test_every_unknown_has_the_derivative_of_autograd_through_the_camera(
     )
 
     _assert_rows_of_autograd(planted, disturb(planted.truth), rows_of, (name,))
+
+
+@pytest.mark.parametrize("interfaces", [1, 2])
+def test_rows_of_dry_points_have_the_derivatives_of_autograd_and_none_in_the_water(plant, disturb, rows_of, interfaces):
+    planted = plant(points=8, interfaces=interfaces)
+    state = replace(disturb(planted.truth), dry=torch.arange(8) % 2 == 0)
+    refine = ("focal", *ALL_WATER)
+
+    _assert_rows_of_autograd(planted, state, rows_of, refine)
+
+    rows, _ = rows_of(planted, state, refine, loss="squared")
+    air = replace(
+        state, dry=None, interfaces=replace(state.interfaces, index_ratio=torch.ones_like(state.interfaces.index_ratio))
+    )
+    straight, _ = rows_of(planted, air, refine, loss="squared")
+    dry, water = state.dry[planted.observations.point], slice(7, 11)
+    without_index = [row for row in range(rows.shape[1]) if row != 7]
+    assert_matches(rows[:, without_index][..., dry], straight[:, without_index][..., dry], slack=10.0)
+    assert (rows[:, water][..., dry] == 0.0).all()
+    assert (rows[:, water][..., ~dry] != 0.0).any()
 
 
 @pytest.mark.parametrize(
@@ -135,9 +156,11 @@ def test_more_observations_than_fit_a_block_are_worked_through_block_by_block(pl
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("c++") is None, reason="torch.compile needs a C++ compiler")
 @pytest.mark.filterwarnings("ignore")
-def test_compiled_rows_are_those_of_the_interpreter(plant, disturb, rows_of):
+@pytest.mark.parametrize("dry", [False, True], ids=["in water", "some dry"])
+def test_compiled_rows_are_those_of_the_interpreter(plant, disturb, rows_of, dry):
     planted = plant(noise=0.5, cameras=2, interfaces=2)
     state, refine = disturb(planted.truth), ("focal", "radial", *ALL_WATER)
+    state = replace(state, dry=torch.arange(len(state.points)) % 3 == 0) if dry else state
 
     rows, cost = rows_of(planted, state, refine, compiled=True)
 

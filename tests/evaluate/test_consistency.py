@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchrefrac.evaluate.consistency import contradictions
-from torchrefrac.scene import Assessment
+from torchrefrac.scene import Assessment, WaterExtent
 
 
 @pytest.fixture
@@ -88,3 +88,36 @@ def test_water_that_was_put_where_it_does_nothing_was_not_seen(survey):
 def test_what_the_images_wish_of_water_and_lens(survey, wished, codes):
     scene = replace(survey.scene(with_points=True), assessment=Assessment(wished=wished))
     assert _codes(scene, survey.capture) == codes
+
+
+def _with_dry(scene, count):
+    return replace(scene, dry=torch.arange(len(scene.points)) < count)
+
+
+def test_points_outside_the_water_are_counted_where_nobody_says_where_it_ends(survey):
+    scene = _with_dry(survey.scene(with_points=True), 36)
+    (found,) = contradictions(scene, survey.capture)
+    assert (found.code, found.images) == ("points_outside_water", ())
+    assert found.message.startswith("36 points, 30 % of all, lie below the water's level")
+    assert "water_extent" in found.message
+
+
+def test_where_the_extent_is_stated_points_outside_the_water_are_no_surprise(survey):
+    stated = replace(survey.capture, water_extent=WaterExtent(torch.zeros(3, 2, dtype=torch.float64)))
+    assert _codes(_with_dry(survey.scene(with_points=True), 36), stated) == []
+
+
+@pytest.mark.parametrize(
+    ("disputed", "words"),
+    [
+        ((60, 3), "60 points within it are seen straight; "),
+        ((3, 60), "60 points beyond it are seen through water; "),
+        ((30, 60), "30 points within it are seen straight and 60 points beyond it are seen through water; "),
+    ],
+)
+def test_an_extent_that_the_images_contradict_is_named(survey, disputed, words):
+    stated = replace(survey.capture, water_extent=WaterExtent(torch.zeros(3, 2, dtype=torch.float64)))
+    scene = replace(survey.scene(with_points=True), assessment=Assessment(disputed=disputed))
+    (found,) = contradictions(scene, stated)
+    assert found.code == "points_outside_water"
+    assert words in found.message

@@ -162,3 +162,49 @@ def test_exif_orientation_does_not_turn_the_image(write_capture):
     orientation_6 = bytes.fromhex("ffe1 0022 457869660000 4d4d002a00000008 0001 0112 0003 00000001 0006 0000 00000000")
     (folder / "images" / "b.jpg").write_bytes(jpeg.tobytes()[:2] + orientation_6 + jpeg.tobytes()[2:])
     assert len(load_capture(folder)) == 2
+
+
+SQUARE = [[0, 0], [30, 0.5], [30, 20], [0, 20]]
+
+
+def test_the_extent_of_the_water_is_read_from_above_and_from_photographs(write_capture):
+    def state(content):
+        content["water_extent"] = SQUARE
+        content["images"][1]["water_extent"] = SQUARE
+
+    capture = load_capture(write_capture(state))
+
+    extent = capture.water_extent
+    assert extent is not None
+    corners = torch.tensor(SQUARE, dtype=torch.float64)
+    assert torch.equal(extent.from_above, corners)
+    assert extent.in_images[0] is None
+    assert torch.equal(extent.in_images[1], corners + 0.5)  # pixel_origin is "center"
+    assert extent.is_drawn
+    turned = capture.of_views([1, 0]).water_extent
+    assert turned is not None
+    assert turned.in_images[1] is None
+
+
+def test_a_capture_says_nothing_of_where_the_water_ends_unless_it_is_stated(write_capture):
+    assert load_capture(write_capture()).water_extent is None
+
+
+@pytest.mark.parametrize(
+    ("extent", "problem"),
+    [
+        (SQUARE[:2], "water_extent has 2 corners, but a polygon has from 3 to 10000"),
+        ([SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3]], "water_extent is a polygon whose sides cross or fold back"),
+        ([*SQUARE, SQUARE[0]], "water_extent is a polygon whose sides cross or fold back"),
+        ([[0, 0], [1, 0], [1]], r"water_extent\[2\] is a list of 1, but must be a list of 2 numbers"),
+        ([[0, 0], [1, 0], [1, 1e999]], r"water_extent\[2\]\[1\] is inf, but must be finite"),
+        ("everywhere", "water_extent is 'everywhere', but must be a list of lists of 2 numbers"),
+    ],
+)
+@pytest.mark.parametrize("of_image", [False, True], ids=["from above", "in an image"])
+def test_an_extent_that_is_no_polygon_is_refused(write_capture, extent, problem, of_image):
+    change = _image(water_extent=extent) if of_image else _set(water_extent=extent)
+    with pytest.raises(CaptureError, match=problem) as error:
+        load_capture(write_capture(change))
+    assert "\n" not in str(error.value)
+    assert ("images[1].water_extent" in str(error.value)) == of_image

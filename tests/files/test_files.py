@@ -11,6 +11,7 @@ from torchrefrac.atomic import replacing
 from torchrefrac.camera import Intrinsics
 from torchrefrac.files.cameras import load_cameras, load_points, read_cameras, write_cameras, write_points
 from torchrefrac.files.library import embedded_scene
+from torchrefrac.files.ply import read_vertices
 from torchrefrac.files.truth import load_truth
 from torchrefrac.geometry import Rigid
 from torchrefrac.scene import Assessment, Cameras, CaptureError, Interfaces, Observations, Scene, SceneError
@@ -246,3 +247,13 @@ def test_a_mistyped_truth_is_named(tmp_path):
 def _raw_ply(path):
     """The elements of a PLY file as they are in it, by name."""
     return trimesh.load(path, process=False).metadata["_ply_raw"]
+
+
+def test_dry_points_are_marked_in_a_cloud(tmp_path, draw):
+    dry = torch.tensor([True, False, True])
+    colors = torch.zeros(3, 3, dtype=torch.uint8)
+    write_points(draw.normal(3, 3), colors, tmp_path / "points.ply", torch.ones(3).double(), dry)
+    vertices, _ = read_vertices(tmp_path / "points.ply")
+    assert vertices["dry"].tolist() == [1, 0, 1]
+    write_points(draw.normal(3, 3), colors, tmp_path / "points.ply")
+    assert "dry" not in (read_vertices(tmp_path / "points.ply")[0].dtype.names or ())

@@ -218,3 +218,27 @@ def test_repeated_observations_are_dropped(run, change_tracks, scene):
     change_tracks(repeat_all)
 
     assert_same(read_scene(run), finished(scene))
+
+
+def test_which_points_are_dry_is_read_back_with_them(tmp_path, scene):
+    dry = torch.arange(len(scene.points)) % 3 == 0
+    write_cameras(scene, tmp_path / "cameras.json")
+    write_tracks(replace(scene, dry=dry), tmp_path / "tracks.npz")
+
+    found = read_run(tmp_path)
+
+    rows = (scene.points[:, None] == found.points).all(dim=-1).long().argmax(dim=0)
+    assert found.dry is not None
+    assert torch.equal(found.dry, dry[rows])
+    assert 0 < int(found.dry.sum()) < len(found.points)
+
+
+def test_a_run_without_dry_points_says_nothing_of_them(run):
+    assert "dry" not in np.load(run / "tracks.npz")
+    assert read_run(run).dry is None
+
+
+def test_dry_must_be_truth_values_of_all_points(run, change_tracks):
+    change_tracks(lambda arrays: arrays.update(dry=np.zeros(len(arrays["points"]) - 1, dtype=bool)))
+    with pytest.raises(SceneError, match="dry is bool"):
+        read_run(run)

@@ -10,7 +10,7 @@ from torchrefrac.features import PairMatches, build_tracks
 from torchrefrac.geometry import align_above_plane, align_similarity, split_heading
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.scene import Cameras, Capture, Scene
+from torchrefrac.scene import Cameras, Capture, Scene, WaterExtent
 from torchrefrac.sfm import (
     NoInitialPairError,
     PairPose,
@@ -350,3 +350,28 @@ def _without(survey, image):
     """The survey where `image` sees nothing."""
     rows = survey.seen.view != image
     return replace(survey, seen=survey.seen[rows], wrong=survey.wrong[rows])
+
+
+@pytest.mark.parametrize("stated", ["not", *(pytest.param(how, marks=pytest.mark.slow) for how in ("above", "drawn"))])
+def test_a_shore_that_lies_below_the_water_is_placed_where_it_is(survey_of, draw, stated):
+    survey = survey_of(cameras=5, points=240)
+    scene = survey.scene(with_points=True)
+    dry = scene.points[:, 0] > scene.points[:, 0].quantile(0.7)
+    pixels, _ = replace(scene, dry=dry).cameras_of(survey.seen).project(scene.points[survey.seen.point])
+    seen = replace(survey.seen, pixels=pixels + 0.1 * draw.normal(len(pixels), 2))
+    everywhere = torch.tensor([(-1e4, -1e4), (1e4, -1e4), (1e4, 1e4), (-1e4, 1e4)], dtype=torch.float64)
+    extent = {
+        "not": None,
+        "above": WaterExtent(3e4 + everywhere),  # no point lies in it: every track must speak for itself
+        "drawn": WaterExtent(None, (None, everywhere, None, None, None)),
+    }[stated]
+    survey = replace(survey, seen=seen, capture=replace(survey.capture, water_extent=extent))
+
+    result = reconstruct(survey)
+
+    centers = align_above_plane(result.views.center, survey.basin.center).apply(result.views.center)
+    assert (centers - survey.basin.center).norm(dim=-1).amax() < 0.2
+    number = result.colors[:, 0].long() + 256 * result.colors[:, 1].long()
+    assert (result.outside_water() == dry[number]).double().mean() > 0.95
+    assert int(result.outside_water().sum()) > 30
+    assert (result.assessment.disputed == (0, 0)) == (stated == "not")

@@ -1,23 +1,29 @@
 """Which matches of a pair agree on a pose."""
 
+from dataclasses import replace
+
 import torch
 
 from torchrefrac.features import PairMatches
+from torchrefrac.geometry import Rigid
 from torchrefrac.recorder import SilentRecorder
 from torchrefrac.sfm import PairPose, verify_pairs
+from torchrefrac.sfm.pose import judge_pair
 
 
 class Agreeing:
-    """An initialiser for which the first `inliers` matches of any pair agree; keeps the pixels it was given."""
+    """An initialiser for which the first `inliers` matches of any pair agree, and the last `straight` if nothing is
+    bent; keeps the pixels it was given."""
 
-    def __init__(self, inliers):
-        self.inliers, self.asked = inliers, []
+    def __init__(self, inliers, straight=0):
+        self.inliers, self.straight, self.asked = inliers, straight, []
 
     def relative(self, images, pixels, generator):
         self.asked.append((images, pixels))
         if self.inliers is None:
             return None
-        return PairPose(None, None, torch.arange(len(pixels[0])) < self.inliers, 0.1)
+        number = torch.arange(len(pixels[0]))
+        return PairPose(None, None, number < self.inliers, 0.1, number >= len(number) - self.straight)
 
 
 def test_the_matches_that_agree_are_kept(survey_of, generator):
@@ -28,6 +34,36 @@ def test_the_matches_that_agree_are_kept(survey_of, generator):
     (pair,) = survey.pairs()
     assert (verified.pair.first, verified.pair.second, verified.num_putative) == (0, 1, len(pair))
     assert torch.equal(verified.pair.matches, pair.matches[:25])
+
+
+def test_matches_that_agree_if_seen_straight_are_kept_where_they_are_many(survey_of, generator):
+    survey = survey_of(cameras=2)
+    (pair,) = survey.pairs()
+
+    for straight, kept in ((19, 25), (20, 45)):
+        (verified,) = verify_pairs(
+            survey.pairs(), survey.features(), Agreeing(25, straight), 20, generator, SilentRecorder()
+        )
+        rows = [*range(25), *range(len(pair) - 20, len(pair))][:kept]
+        assert torch.equal(verified.pair.matches, pair.matches[rows])
+
+
+def test_matches_of_dry_points_are_told_from_those_that_agree_through_water(survey_of):
+    survey = survey_of(cameras=2, points=300)
+    scene, truth = survey.scene(with_points=True), torch.arange(300) % 3 == 0
+    seen = scene.observations
+    pixels, _ = replace(scene, dry=truth).cameras_of(seen).project(scene.points[seen.point])
+    both = tuple(pixels[seen.view == view] for view in (0, 1))
+    dry, pose = truth[seen.point[seen.view == 0]], Rigid(scene.views.rotation, scene.views.center)
+    ratio = torch.tensor(scene.index_ratio, dtype=torch.float64)
+
+    found = judge_pair(pose, both, scene.intrinsics, ratio, 0.5)
+    stated = judge_pair(pose, both, scene.intrinsics, ratio, 0.5, dry)
+
+    assert found.inliers[~dry].all()
+    assert found.inliers[dry].double().mean() < 0.5
+    assert torch.equal(found.straight, ~found.inliers)
+    assert stated.inliers.all()
 
 
 def test_the_initialiser_is_given_the_pixels_of_both_keypoints(survey_of, generator):

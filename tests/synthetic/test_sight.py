@@ -9,7 +9,7 @@ import torch
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.geometry.surfaces import Rectangle
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.synthetic.sight import see
+from torchrefrac.synthetic.sight import Scenery, see
 from torchrefrac.synthetic.stage import Piece
 
 
@@ -41,9 +41,11 @@ def meets(surface, origin, way):
     return min((length for length in lengths if length > 1e-9), default=math.inf)
 
 
-def trace(surfaces, center, way, index_ratio):
-    """Where one ray ends, and on which surface; None and -1 where on none."""
+def trace(surfaces, center, way, index_ratio, half=math.inf):
+    """Where one ray ends, and on which surface; None and -1 where on none. half: of the side of a square of water."""
     to_water = center[2] / -way[2] if way[2] < 0 else math.inf
+    if to_water < math.inf and np.abs(center + to_water * way)[:2].max() > half:
+        to_water = math.inf
     dry = [meets(surface, center, way) for surface in surfaces]
     if min(dry) < to_water:
         return center + min(dry) * way, int(np.argmin(dry))
@@ -77,6 +79,27 @@ def test_points_are_those_of_a_tracer_that_follows_rays_one_by_one(stage, draw, 
     assert set(sight.piece.tolist()) >= {0, 1, 2, 3}
     points = np.array([point if point is not None else (np.nan,) * 3 for point, _ in traced])
     np.testing.assert_allclose(sight.points.numpy(), points, rtol=0.0, atol=1e-9)
+
+
+def test_rays_beyond_the_extent_of_the_water_go_straight_on(stage, draw):
+    camera = camera_of(stage, 1, 1.333)
+    pixels = draw.uniform(0.0, 1.0, 400, 2) * torch.tensor((400.0, 300.0))
+    ways = camera.view_directions(pixels)
+    half = 0.999 * float(
+        (stage.center[1, :2] + stage.center[1, 2] / -ways[:, 2:] * ways[:, :2]).abs().amax(dim=-1).median()
+    )
+    square = ((-half, -half), (half, -half), (half, half), (-half, half))
+
+    sight = Scenery(stage.pieces, 1.333, extent=square).look(stage.center[1], ways)
+
+    surfaces = [piece.surface for piece in stage.pieces]
+    traced = [trace(surfaces, stage.center[1].numpy(), way, 1.333, half) for way in ways.numpy()]
+    assert sight.piece.tolist() == [piece for _, piece in traced]
+    points = np.array([point if point is not None else (np.nan,) * 3 for point, _ in traced])
+    np.testing.assert_allclose(sight.points.numpy(), points, rtol=0.0, atol=1e-9)
+    straight_below = ~sight.in_water & (sight.points[:, 2] < 0.0)
+    assert int(straight_below.sum()) > 20
+    assert int(sight.in_water.sum()) > 20
 
 
 def test_points_project_back_to_their_pixels_above_and_below_the_water(stage, draw):

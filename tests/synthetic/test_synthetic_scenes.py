@@ -20,11 +20,13 @@ from torchrefrac.geometry import split_heading
 from torchrefrac.geometry.surfaces import nearest
 from torchrefrac.synthetic.options import CameraOptions, SyntheticOptions
 from torchrefrac.synthetic.paths import grid, look_at, ring, rolls
+from torchrefrac.synthetic.photograph import Photographer
 from torchrefrac.synthetic.scenes import (
     SCENES,
     CansOptions,
     MeshOptions,
     RiverbedOptions,
+    TableOptions,
     TankOptions,
     cans,
     ground,
@@ -32,6 +34,7 @@ from torchrefrac.synthetic.scenes import (
     mesh_colours,
     riverbed,
     stage_of,
+    table,
     tank,
 )
 from torchrefrac.synthetic.stage import StageError
@@ -47,7 +50,7 @@ def plain(monkeypatch):
     def grey(size, seed, **_):
         return np.full((8, 8, 3), seed % 200, dtype=np.uint8)
 
-    for module in (tank, cans, ground, mesh, mesh_colours):
+    for module in (tank, table, cans, ground, mesh, mesh_colours):
         for name in ("gravel", "beans", "grass", "sand", "label", "checkerboard", "tiles", "wood"):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, grey)
@@ -466,3 +469,18 @@ def test_shared_and_own_options_of_a_scene_are_overridden_on_the_command_line():
 
     assert isinstance(options, TankOptions)
     assert (options.index_ratio, options.camera.width, options.depth) == (1.2, 640, 80.0)
+
+
+def test_the_photographs_of_the_table_show_as_much_beside_the_water_as_in_it(plain):
+    options = TableOptions(name="table", camera=CameraOptions(width=160, height=120))
+    stage = stage_of(options)
+    photographer = Photographer.of(stage, options)
+    for image in range(len(stage.center)):
+        sight = photographer.look(image, photographer.intrinsics.pixel_grid(12, 16).flatten(0, 1))
+        below = sight.points[:, 2] < -1.0
+        outside = below & ~sight.in_water
+        assert 0.15 < outside.double().mean() < 0.75
+        assert 0.2 < (below & sight.in_water).double().mean() < 0.75
+        inside = (sight.points[:, 0].abs() <= 35.01) & (sight.points[:, 1].abs() <= 27.01)
+        assert not (outside & inside).any()
+        assert inside[below & sight.in_water].all()

@@ -16,6 +16,7 @@ from torchrefrac.geometry import Plane
 from torchrefrac.optim import LossName, RowLayout, in_cache, robust
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.scene import Observations, Scene
+from torchrefrac.scene.interfaces import without_water
 
 IMPOSSIBLE_PX = 1e3
 POSE = ("rotation", "center")
@@ -98,10 +99,12 @@ def differentiable_rows(
 
 
 def _gathered(scene: Scene, seen: Observations) -> tuple[Float[Tensor, "..."], ...]:
-    """What `_parts` takes; of the one camera or interface of all views there is no copy."""
+    """What `_parts` takes; of the one camera or interface of all views there is no copy, but of its offset where some
+    points are dry."""
     views, cameras, interfaces = scene.views, scene.cameras, scene.interfaces
     camera = 0 if len(cameras) == 1 else views.camera[seen.view]
     interface = 0 if len(interfaces) == 1 else views.interface[seen.view]
+    offset = interfaces.offset[interface]
     return (
         _look_up(views.rotation, seen.view),
         _look_up(views.center, seen.view),
@@ -112,7 +115,7 @@ def _gathered(scene: Scene, seen: Observations) -> tuple[Float[Tensor, "..."], .
         cameras.distortion[camera],
         interfaces.index_ratio[0],
         interfaces.normal[interface],
-        interfaces.offset[interface],
+        offset if scene.dry is None else without_water(offset, scene.dry[seen.point]),
     )
 
 
@@ -132,7 +135,7 @@ def _parts(
     distortion: Float[Tensor, "*camera 5"],
     index_ratio: Float[Tensor, ""],
     normal: Float[Tensor, "*interface 3"],
-    offset: Float[Tensor, "*interface"],
+    offset: Float[Tensor, "*place"],
 ) -> tuple[list[list[Float[Tensor, " k"]]], Float[Tensor, " k"]]:
     """The rows of u and those of v, and rho."""
     intrinsics = Intrinsics(1, 1, focal, principal_point, distortion, check=False)

@@ -34,5 +34,7 @@ def surface_slope(scene: Scene, seen: Observations) -> SurfaceSlope:
     about_first = by.plane_tilt[..., 0] - by.plane_height * place[:, 1:]
     about_second = by.plane_tilt[..., 1] + by.plane_height * place[:, :1]
     by_slope = torch.stack((-about_second, about_first), dim=-1)
+    if scene.dry is not None:
+        beyond = beyond & ~scene.dry[seen.point]
     usable = (valid & refracted & beyond)[:, None, None]
     return SurfaceSlope(place, torch.where(usable, by_slope, 0.0))

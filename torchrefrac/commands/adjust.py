@@ -200,6 +200,9 @@ def _summary(given: Scene, adjusted: Scene, outcome: Outcome) -> dict[str, Any]:
         "held": dict(known.fixed),
         "adjustment": outcome.report.status,
     }
+    outside = int(adjusted.outside_water().sum())
+    if outside:
+        metrics["points_outside_water"] = outside
     if known.point_sigma is not None:
         metrics[f"point_sigma_median_{unit}"] = float(known.point_sigma.median())
     return metrics
@@ -223,7 +226,7 @@ def _lost(scene: Scene, survey: Survey) -> dict[str, Any]:
 def _write(scene: Scene, folder: Path, binary: bool) -> None:
     write_colmap(scene, folder / MODEL, binary, _point_errors(scene))
     write_water(scene, folder / WATER)
-    write_points(scene.points, scene.colors, folder / "points.ply", scene.assessment)
+    write_points(scene.points, scene.colors, folder / "points.ply", scene.assessment, scene.dry)
     write_tracks(scene, folder / TRACKS)
     if len(scene.cameras) == 1 and scene.interfaces.is_level:
         write_cameras(scene, folder / "cameras.json")

@@ -80,7 +80,8 @@ class RunFolder:
             _write_arrays(matches, self.folder / "matches.npz")
         elif name == "sparse":
             write_cameras(product, self.folder / "cameras.json")
-            write_points(product.points, product.colors, self.folder / "points.ply", product.assessment)
+            about = product.assessment, product.dry
+            write_points(product.points, product.colors, self.folder / "points.ply", *about)
             write_tracks(product, self.folder / "tracks.npz")
         self.metrics["stages"].append(name)
         self.metrics[f"seconds_{name}"] = round(seconds, 3)

@@ -2,6 +2,7 @@
 that."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -13,7 +14,8 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.dense.filling import METHODS, fill_views
 from torchrefrac.dense.fusion import THICKNESS, fuse, supported, unobstructing
 from torchrefrac.dense.images import Images, photographs
-from torchrefrac.dense.neighbours import find_neighbours
+from torchrefrac.dense.media import PartOfStore, media_of
+from torchrefrac.dense.neighbours import Neighbourhood, find_neighbours
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.rays import PixelRays, depth_in
@@ -27,10 +29,12 @@ class DenseError(TorchrefracError, RuntimeError):
 
 
 class Dense(NamedTuple):
-    """The cloud, and the patches that it was made from, which know their views."""
+    """The cloud, and the patches that it was made from, which know their views: those under water and above it, and
+    those that lie below its level, but outside."""
 
     cloud: DenseCloud
     patches: Patches
+    outside: Patches
 
 
 def densify(
@@ -39,7 +43,7 @@ def densify(
     """Dense points of the surfaces that the registered views show.
 
     The scene must have its points and observations, which say where to look, and its `capture`, the photographs.
-    Textureless areas stay empty.
+    Textureless areas stay empty. What lies outside the water is looked for straight, see `media_of`.
     Deterministic. Finished views go to `store`. Raises DenseError when no two views can be compared, or there are
     several cameras or interfaces, CaptureError for an image or a mask that is missing or has another size, ValueError
     for the method none.
@@ -49,13 +53,35 @@ def densify(
         raise ValueError(f"method is {options.method!r}, but must be {' or '.join(map(repr, METHODS))}")
     if (kinds := (len(scene.cameras), len(scene.interfaces))) != (1, 1):
         raise DenseError("the scene has {} cameras and {} interfaces, but must have one of each".format(*kinds))
-    recorder, images, cameras = recorder or SilentRecorder(), Images(photographs(scene)), scene.camera_of()
-    images.check()
-    neighbourhoods = find_neighbours(scene, options)
-    if not neighbourhoods:
+    recorder, capture, store = recorder or SilentRecorder(), photographs(scene), store or NoStore()
+    media, parts = media_of(scene), [Patches.empty(options.views) for _ in range(2)]
+    pictures = [Images(capture, where=medium.where) for medium in media]
+    pictures[0].check()
+    neighbourhoods = [find_neighbours(medium.scene, options) for medium in media]
+    if not any(neighbourhoods):
         raise DenseError(_nothing_to_compare(scene))
-    patches = fill_views(neighbourhoods, images, options, recorder, store or NoStore())
-    with recorder.meter(4, "fusing", "") as advance:
+    for i, (medium, images, around) in enumerate(zip(media, pictures, neighbourhoods, strict=True)):
+        if around:
+            own = PartOfStore(store, i * len(scene.views)) if i else store
+            parts[i] = _surface(medium.scene, images, around, options, recorder, own)
+    patches = Patches.together(parts) if len(media) > 1 else parts[0]
+    colors = pictures[0].colors(patches.reference, patches.pixels)
+    recorder.scalar("dense/points", len(patches), 0)
+    return Dense(patches.cloud(colors, scene.length_unit), *parts)
+
+
+def _surface(
+    scene: Scene,
+    images: Images,
+    neighbourhoods: dict[int, Neighbourhood],
+    options: DenseOptions,
+    recorder: Recorder,
+    store: Store,
+) -> Patches:
+    """The patches in one medium that nothing contradicts."""
+    cameras = scene.camera_of()
+    patches = fill_views(neighbourhoods, images, options, recorder, store)
+    with recorder.meter(3, "fusing", "") as advance:
         if options.method == "depthmap":
             only_pairs = max(len(one.ids) for one in neighbourhoods.values()) == 2
             patches = fuse(patches, cameras, options.cell, 2 if only_pairs else min(options.min_views, 3) - 1)
@@ -63,17 +89,28 @@ def densify(
         patches = patches[unobstructing(patches, cameras, options.cell)]
         advance(1, "lonely patches")
         patches = patches[supported(patches, options.cell)]
-        advance(1, "colours")
-        colors = images.colors(patches.reference, patches.pixels)
         advance(1, f"{len(patches)} patches")
-    recorder.scalar("dense/points", len(patches), 0)
-    return Dense(patches.cloud(colors, scene.length_unit), patches)
+    return patches
 
 
 def depth_maps(dense: Dense, scene: Scene, options: DenseOptions) -> Iterator[DepthMap]:
     """What every registered view sees of the surface."""
     for view in scene.views.registered.nonzero()[:, 0].tolist():
-        yield depth_map(dense.patches, scene.camera_of(view), scene.views.names[view], options.cell, scene.length_unit)
+        camera, about = scene.camera_of(view), (scene.views.names[view], options.cell, scene.length_unit)
+        seen = depth_map(dense.patches, camera, *about)
+        yield nearer(seen, depth_map(dense.outside, camera.as_pinhole(), *about)) if len(dense.outside) else seen
+
+
+def nearer(first: DepthMap, second: DepthMap) -> DepthMap:
+    """In each cell what the nearer of two maps of one view has."""
+    take = second.valid & (~first.valid | (second.depth < first.depth))
+    return replace(
+        first,
+        points=torch.where(take[..., None], second.points, first.points),
+        depth=torch.where(take, second.depth, first.depth),
+        sigma=torch.where(take, second.sigma, first.sigma),
+        valid=first.valid | second.valid,
+    )
 
 
 def depth_map(patches: Patches, camera: RefractiveCamera, name: str, cell: int, length_unit: str) -> DepthMap:

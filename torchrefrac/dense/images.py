@@ -1,5 +1,6 @@
 """The photographs of a capture and their masks, read when they are needed."""
 
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
@@ -18,11 +19,16 @@ PART, BESIDE = 2048, 32  # pixels across of what is searched for interest points
 class Images:
     """Grey and coloured pixels as 8-bit tensors, and which of them may be used (`Masks`).
 
-    Of the grey images the last few are remembered.
+    Of the grey images the last few are remembered. where: of each image, which pixels are meant at all; by default all.
     """
 
-    def __init__(self, capture: Capture, remembered: int = 24) -> None:
-        self.capture = capture
+    def __init__(
+        self,
+        capture: Capture,
+        remembered: int = 24,
+        where: Callable[[int], Bool[Tensor, "height width"]] | None = None,
+    ) -> None:
+        self.capture, self._where = capture, where
         self.size = (capture.intrinsics.height, capture.intrinsics.width)
         self._masks = Masks(capture)
         self.grey = lru_cache(maxsize=remembered)(self._grey)
@@ -31,7 +37,7 @@ class Images:
 
     @property
     def has_masks(self) -> bool:
-        return self._masks.hide_something
+        return self._where is not None or self._masks.hide_something
 
     def check(self) -> None:
         """Raise CaptureError for an image or a mask that is missing, cannot be read, or has another size."""
@@ -73,7 +79,8 @@ class Images:
     def _allowed(self, image: int) -> Bool[Tensor, "height width"]:
         """Which pixels may be used."""
         used = self._masks.used(image)
-        return torch.ones(self.size, dtype=torch.bool) if used is None else used
+        allowed = torch.ones(self.size, dtype=torch.bool) if used is None else used
+        return allowed if self._where is None else allowed & self._where(image)
 
     def _sized(self, picture: UInt8[Tensor, "height width"], path: Path) -> UInt8[Tensor, "height width"]:
         if tuple(picture.shape) != self.size:

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from torchrefrac.atomic import replacing
 from torchrefrac.checks import TorchrefracError
@@ -15,7 +17,7 @@ from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.files.masks import MASKS
 from torchrefrac.files.npz import read_arrays, write_arrays
-from torchrefrac.scene import Scene
+from torchrefrac.scene import Capture, Scene
 
 ARRAYS = {
     **{"reference": "i:n", "pixels": "f:n2", "points": "f:n3", "normals": "f:n3", "sigma": "f:n", "footprint": "f:n"},
@@ -109,6 +111,12 @@ class CountingStore:
         return found
 
 
+def _drawn(capture: Capture) -> list[Float[Tensor, "..."]]:
+    """Where the water ends in the photographs."""
+    extent = capture.water_extent
+    return [] if extent is None else [corners for corners in extent.in_images if corners is not None]
+
+
 def fingerprint(scene: Scene, options: DenseOptions) -> str:
     """A hash of all that decides the patches: poses, intrinsics, water, points, options, image files and masks."""
     digest = hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode())
@@ -118,6 +126,8 @@ def fingerprint(scene: Scene, options: DenseOptions) -> str:
         *(views.registered, views.rotation, views.center, scene.points, seen.view, seen.point, seen.pixels),
         *(cameras.focal, cameras.principal_point, cameras.distortion),
         *(interfaces.normal, interfaces.offset, interfaces.index_ratio),
+        *(() if scene.dry is None else (scene.dry,)),
+        *_drawn(capture),
     ):
         digest.update(tensor.contiguous().numpy().tobytes())
     digest.update(repr(cameras.sizes).encode())

@@ -29,6 +29,8 @@ VAGUE_DEG = 1.5
 """Error of verticals that nobody measured beyond which heights are not to be trusted."""
 STEEP = 0.002
 """Slope of a surface, radians, from which on it is worth a word."""
+FEWEST_DISPUTED, DISPUTED = 20, 0.02
+"""Points, and share of all, that contradict where the water is stated to end: near its edge some always do."""
 AIR = 1.02
 """An index ratio below which there is no water."""
 
@@ -40,13 +42,8 @@ def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     if scene.index_ratio <= 1.0:
         return about_images
     given = _given(scene)
-    return (
-        *given,
-        *_gravity(scene, stated),
-        *_heights(scene, stated),
-        *([] if given else _surface(scene)),
-        *about_images,
-    )
+    about_water = (*given, *_outside_water(scene, stated), *([] if given else _surface(scene)))
+    return (*about_water, *_gravity(scene, stated), *_heights(scene, stated), *about_images)
 
 
 def _duplicates(stated: Capture) -> list[Finding]:
@@ -148,7 +145,8 @@ def _given(scene: Scene) -> list[Finding]:
     """What was given of water and lens."""
     wished, found = scene.assessment.wished, []
     step, sigma = wished.get("index_ratio", (0.0, 0.0))
-    wet = float((scene.points[scene.placed, 2] < 0.0).double().mean()) if len(scene.points) else 1.0
+    in_water = (scene.points[:, 2] < 0.0) & ~scene.outside_water()
+    wet = float(in_water[scene.placed].double().mean()) if len(scene.points) else 1.0
     if wet < MOSTLY_DRY and sigma > VAGUE * (scene.index_ratio - 1.0):
         message = (
             f"the images show no refraction: they place {100.0 * (1.0 - wet):.0f} % of the points above the water, and "
@@ -188,6 +186,28 @@ def _surface(scene: Scene) -> list[Finding]:
         f"of {math.degrees(slope):.2g} degrees (root mean square); the standard deviations take it into account"
     )
     return [Finding(WarningCode.SURFACE_NOT_FLAT, message)]
+
+
+def _outside_water(scene: Scene, stated: Capture) -> list[Finding]:
+    """Points that are not seen through water, where nobody says where it ends; or that contradict who does."""
+    if stated.water_extent is None:
+        count = int(scene.outside_water().sum())
+        if count == 0:
+            return []
+        message = (
+            f"{count} points, {100.0 * count / len(scene.points):.0f} % of all, lie below the water's level, but are "
+            "seen straight, without water before them, and were placed so; state where the water ends: water_extent in "
+            "capture.json"
+        )
+        return [Finding(WarningCode.POINTS_OUTSIDE_WATER, message)]
+    straight, through_water = scene.assessment.disputed
+    least = max(FEWEST_DISPUTED, DISPUTED * len(scene.points))
+    found = [f"{straight} points within it are seen straight"] if straight >= least else []
+    found += [f"{through_water} points beyond it are seen through water"] if through_water >= least else []
+    if not found:
+        return []
+    message = f"the images contradict water_extent: {' and '.join(found)}; these were placed as the images show"
+    return [Finding(WarningCode.POINTS_OUTSIDE_WATER, message)]
 
 
 def _names(scene: Scene, which: Bool[Tensor, " m"]) -> tuple[str, ...]:

@@ -17,10 +17,13 @@ MIN_SIMILARITY_CAMERAS = 3
 def summarize(scene: Scene) -> dict[str, Any]:
     """What is known of a finished scene without truth."""
     errors, known = scene.errors(), scene.assessment
+    above, outside = (int((mask & scene.placed).sum()) for mask in (scene.above_water(), scene.outside_water()))
     metrics: dict[str, Any] = {
         "images": len(scene.views),
         "registered_images": scene.views.num_registered,
         "points": len(scene.points),
+        "points_above_water": above,
+        "points_outside_water": outside,
         "observations": len(errors),
         "reprojection_median_px": float(errors.median()) if len(errors) else 0.0,
         "reprojection_rms_px": rms(errors) if len(errors) else 0.0,

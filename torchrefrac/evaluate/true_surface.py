@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.evaluate.mesh_distance import MeshDistance
+from torchrefrac.geometry.polygon import inside_polygon
 from torchrefrac.geometry.surfaces import Rectangle, Surface, nearest
 from torchrefrac.scene.truth import Truth
 
@@ -49,11 +50,14 @@ class TrueSurface:
         """
         surfaces = self._surfaces
         entry, before, after, wet = cameras.follow_rays(pixels)
+        extent = self.truth.water_extent
+        if extent is not None:
+            wet = wet & inside_polygon(entry[:, :2], extent)
         center = cameras.center_in_world.expand_as(entry)
         length, which, _, _ = nearest(surfaces, entry, after)
         points = entry + torch.where(length.isfinite() & wet, length, 0.0)[:, None] * after
         valid = length.isfinite() & wet
-        if self._rises:
+        if self._rises or extent is not None:
             length, above, _, _ = nearest(surfaces, center, before)
             is_dry = length.isfinite() & (~wet | (length < (entry - center).norm(dim=-1)))
             dry = center + torch.where(is_dry, length, 0.0)[:, None] * before

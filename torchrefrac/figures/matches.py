@@ -133,7 +133,7 @@ def _best(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
 
 def _residuals(scene: Scene) -> tuple[Int[Tensor, " k"], Float[Tensor, "k 2"]]:
     """Which observations can be projected, and by how much the projection misses them."""
-    projected, valid = scene.camera_of(scene.observations.view).project(scene.points[scene.observations.point])
+    projected, valid = scene.cameras_of(scene.observations).project(scene.points[scene.observations.point])
     rows = valid.nonzero()[:, 0]
     return rows, projected[rows] - scene.observations.pixels[rows]
 

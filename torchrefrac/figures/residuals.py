@@ -27,7 +27,7 @@ class Residuals:
     def of(cls, scene: Scene) -> "Residuals":
         """Those of a reconstruction; observations that cannot be projected are left out."""
         error = scene.errors()
-        angle, valid = scene.camera_of(scene.observations.view).incidence_angle(scene.points[scene.observations.point])
+        angle, valid = scene.cameras_of(scene.observations).incidence_angle(scene.points[scene.observations.point])
         good = error.isfinite() & valid
         return cls(scene.observations.view[good], error[good], angle[good].rad2deg())
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -125,14 +125,19 @@ def _assessment(registered: list[Fields]) -> Assessment:
 
 
 def write_points(
-    points: Float[Tensor, "n 3"], colors: UInt8[Tensor, "n 3"], path: Path, known: Assessment | None = None
+    points: Float[Tensor, "n 3"],
+    colors: UInt8[Tensor, "n 3"],
+    path: Path,
+    known: Assessment | None = None,
+    dry: Bool[Tensor, " n"] | None = None,
 ) -> None:
     """Write a coloured point cloud as binary PLY.
 
     Coordinates are float32, or float64 where that would round away what is known of them, as far from the origin of a
     map. known: of these points, written as properties of the vertices (float32): `sigma` along the axis in which each
     is known worst, `sigma_x`, `sigma_y`, `sigma_z`, and `sigma_relative`, along the worst axis as if cameras and water
-    were known.
+    were known. dry: which of them are seen straight although they lie below the water's level, as the property `dry`
+    (1: yes).
     """
     sigma = None if known is None else known.point_sigma
     kind = kind_of_coordinates(points, sigma)
@@ -144,6 +149,8 @@ def write_points(
         columns += [(f"sigma_{name}", "f4", value) for name, value in zip("xyz", along.T, strict=True)]
         if known.relative_covariance is not None:
             columns.append(("sigma_relative", "f4", largest_deviation(known.relative_covariance)))
+    if dry is not None:
+        columns.append(("dry", "u1", dry))
     write_vertices(columns, path)
 
 

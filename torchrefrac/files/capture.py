@@ -8,10 +8,11 @@ from typing import Any
 import torch
 
 from torchrefrac.camera import Intrinsics
+from torchrefrac.files.extent import read_extent
 from torchrefrac.files.fields import Fields, different_names, read_json
 from torchrefrac.files.masks import Masks
 from torchrefrac.files.photographs import check_photograph, read_grey
-from torchrefrac.scene import Cameras, Capture, CaptureError, Interfaces
+from torchrefrac.scene import Cameras, Capture, CaptureError, Interfaces, WaterExtent
 from torchrefrac.scene.interfaces import INDEX_RATIO_RANGE, MAX_INDEX_RATIO
 
 FORMAT = "torchrefrac-capture/1"
@@ -26,13 +27,16 @@ def load_capture(folder: str | Path) -> Capture:
     Raises CaptureError with one sentence for anything that cannot be right: a missing, unreadable or damaged image, an
     image of another size, a mask that fits no image or has another size, a missing or mistyped field, gravity or
     headings of some images only, gravity that is no unit vector, a camera that looks at the sky, an index ratio below 1
-    or beyond any liquid, fewer than two images, a name given twice.
+    or beyond any liquid, an extent of the water that is no polygon, fewer than two images, a name given twice.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise CaptureError(f"{folder} is not a folder; give the folder that holds capture.json and images/")
     top = read_json(folder / "capture.json")
-    top.only("format", "length_unit", "index_ratio", "pixel_origin", "intrinsics", "down_in_cam_sigma_deg", "images")
+    top.only(
+        "format", "length_unit", "index_ratio", "pixel_origin", "intrinsics", "down_in_cam_sigma_deg", "water_extent",
+        "images",
+    )  # fmt: skip
     top.must_be("format", FORMAT)
     intrinsics = capture_intrinsics(top)
     images = top.objects("images")
@@ -59,6 +63,7 @@ def load_capture(folder: str | Path) -> Capture:
         has_gravity=has_gravity,
         heading=torch.tensor([_heading(image) if has_heading else 0.0 for image in images], dtype=torch.float64),
         has_heading=has_heading,
+        water_extent=_water_extent(top, images),
     )
     Masks(capture).check()
     return capture
@@ -107,11 +112,17 @@ def read_index_ratio(top: Fields) -> float:
 
 def _names(images: list[Fields]) -> tuple[str, ...]:
     for image in images:
-        image.only("name", "down_in_cam", "height", "heading_deg", "center_prior")
+        image.only("name", "down_in_cam", "height", "heading_deg", "center_prior", "water_extent")
         name = image.text("name")
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise image.fail("name", f"is {name!r}, but must name a file inside images/")
     return different_names(images)
+
+
+def _water_extent(top: Fields, images: list[Fields]) -> WaterExtent | None:
+    shift = pixel_shift(top, top.text("pixel_origin"))
+    extent = WaterExtent(read_extent(top), tuple(read_extent(image, shift) for image in images))
+    return extent if extent.from_above is not None or extent.is_drawn else None
 
 
 def _gravity_sigma(top: Fields) -> float:

@@ -148,6 +148,16 @@ class Fields:
         rows = Fields({f"{name}[{i}]": row for i, row in enumerate(value)}, self._path, self._prefix)
         return [rows.numbers(f"{name}[{i}]", 3) for i in range(3)]
 
+    def rows(self, name: str, width: int) -> list[list[float]]:
+        """A list of rows of `width` numbers."""
+        value = self._get(name)
+        if not isinstance(value, list):
+            raise self.fail(name, f"is {_kind(value)}, but must be a list of lists of {width} numbers")
+        if len(value) > MOST_OBJECTS:
+            raise self.fail(name, f"lists {len(value)}, but must list at most {MOST_OBJECTS}")
+        rows = Fields({f"{name}[{i}]": row for i, row in enumerate(value)}, self._path, self._prefix)
+        return [rows.numbers(f"{name}[{i}]", width) for i in range(len(value))]
+
     def object(self, name: str) -> "Fields":
         return Fields(self._get(name), self._path, self._label(name))
 

@@ -3,7 +3,7 @@
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -31,14 +31,19 @@ def write_arrays(arrays: Mapping[str, Array], path: str | Path) -> None:
 
 
 def read_arrays(
-    path: str | Path, wanted: Mapping[str, str], error: Callable[[str], Exception], file_format: str | None = None
+    path: str | Path,
+    wanted: Mapping[str, str],
+    error: Callable[[str], Exception],
+    file_format: str | None = None,
+    optional: Collection[str] = (),
 ) -> dict[str, Array]:
     """Read the arrays that are named in `wanted` from a NumPy archive whose array `format`, if one is given, is
     `file_format`.
 
     wanted: of each array a letter for what it holds (see `KINDS`), a colon, and a letter for each dimension: the same
-    one for sizes that must agree, or a digit, the size. Raises `error` of a sentence where the file is missing or
-    damaged, of another format, lacks an array, or has one of another kind or other axes.
+    one for sizes that must agree, or a digit, the size. optional: which of them may be missing. Raises `error` of a
+    sentence where the file is missing or damaged, of another format, lacks another array, or has one of another kind or
+    other axes.
     """
     try:
         with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
@@ -47,11 +52,13 @@ def read_arrays(
         raise error(f"{path} is not a whole NumPy archive: {problem}") from None
     if file_format is not None and str(found.get("format", "")) != file_format:
         raise error(f"{path} has the format {str(found.get('format', ''))!r}, but must have {file_format!r}")
-    missing = [name for name in wanted if name not in found]
+    missing = [name for name in wanted if name not in found and name not in optional]
     if missing:
         raise error(f"{path} lacks {', '.join(missing)}")
     sizes = {str(digit): digit for digit in range(10)}
     for name, (kind, _, *axes) in wanted.items():
+        if name not in found:
+            continue
         value, (several, one, dtype) = found[name], KINDS[kind]
         fits = value.dtype.kind == kind if dtype is None else np.can_cast(value.dtype, dtype, "safe")
         if not axes and not (fits and value.shape == () and (kind != "n" or np.isfinite(value))):

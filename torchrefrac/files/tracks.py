@@ -15,15 +15,17 @@ from torchrefrac.scene.scene import require_index
 
 TRACKS = "tracks.npz"
 ARRAYS = {"names": "U:m", "image": "i:k", "point": "i:k", "pixels": "n:k2", "points": "n:n3", "colors": "c:n3"}
+DRY = "dry"
 
 
 def write_tracks(scene: Scene, path: str | Path) -> None:
     """Write the points of a finished scene, their colours and observations, and the names of its views, as a NumPy
-    archive."""
+    archive; and which points are dry, where any are."""
     seen = scene.observations
     tensors = (seen.view, seen.point, seen.pixels, scene.points, scene.colors)
     arrays = (np.array(scene.views.names, dtype=np.str_), *(value.detach().cpu().numpy() for value in tensors))
-    write_arrays(dict(zip(ARRAYS, arrays, strict=True)), path)
+    dry = {} if scene.dry is None else {DRY: scene.dry.cpu().numpy()}
+    write_arrays(dict(zip(ARRAYS, arrays, strict=True)) | dry, path)
 
 
 def read_scene(folder: str | Path) -> Scene:
@@ -59,7 +61,8 @@ def read_run(folder: str | Path) -> Scene:
         if not (folder / name).is_file():
             raise SceneError(f"{folder} holds no {name}, which a run has; reconstruct again, or name its run folder")
     cameras, path = read_cameras(folder / CAMERAS), folder / TRACKS
-    found = read_arrays(path, ARRAYS, lambda problem: SceneError(f"{problem}; reconstruct again"))
+    wanted = {**ARRAYS, DRY: "b:n"}
+    found = read_arrays(path, wanted, lambda problem: SceneError(f"{problem}; reconstruct again"), optional=(DRY,))
     names = found.pop("names").tolist()
     if not names or len(set(names)) != len(names):
         raise SceneError(f"{path}: names must be a list of different texts, at least one; reconstruct again")
@@ -75,6 +78,7 @@ def read_run(folder: str | Path) -> Scene:
     try:
         require_index(image, "image", len(names))
         scene = cameras.with_points(points, colors, Observations(row[image].clamp(min=0), point, pixels))
+        scene = replace(scene, dry=torch.from_numpy(found[DRY]) if DRY in found else None)
         scene.check()
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None

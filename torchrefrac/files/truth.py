@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.files.capture import capture_intrinsics, read_index_ratio
+from torchrefrac.files.extent import read_extent
 from torchrefrac.files.fields import Fields, read_json
 from torchrefrac.files.npz import read_arrays
 from torchrefrac.geometry.triangle_mesh import TriangleMesh
@@ -50,6 +51,7 @@ def load_truth(folder: str | Path, with_surface: bool = True) -> Truth | None:
         index_ratio=None if ratio_from is None else read_index_ratio(ratio_from),
         intrinsics=None if capture is None else capture_intrinsics(capture),
         folder=folder,
+        water_extent=read_extent(top),
         surface=_read_surface(top, folder) if with_surface and "surface" in top else None,
     )
 

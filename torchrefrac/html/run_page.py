@@ -76,7 +76,9 @@ def _tiles(run: RunContents) -> list[tuple[str, str]]:
         value = words.with_sigma(m["index_ratio"], sigma)
         found.append((value, what + (f" (true {words.plain(true)})" if true is not None else "")))
     if "points" in m:
-        found.append((f"{m['points']:,}".replace(",", "\u202f"), "points"))
+        outside = m.get("points_outside_water")
+        what = f"points, {words.counted(outside)} of them outside the water" if outside else "points"
+        found.append((words.counted(m["points"]), what))
     if found and "seconds_total" in m:
         found.append((words.seconds(float(m["seconds_total"])), "time"))
     return found

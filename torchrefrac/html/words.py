@@ -38,6 +38,11 @@ def plain(value: float) -> str:
     return f"{value:.4f}".rstrip("0").rstrip(".")
 
 
+def counted(count: int) -> str:
+    """A whole number with thin spaces between its thousands."""
+    return f"{count:,}".replace(",", "\u202f")
+
+
 def seconds(value: float) -> str:
     """A duration."""
     if value < MINUTE:

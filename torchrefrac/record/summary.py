@@ -61,6 +61,12 @@ def reconstruction_lines(metrics: Mapping[str, Any]) -> list[str]:
         f"{metrics['registered_images']} of {metrics['images']} images registered, {metrics['points']} points, "
         f"median reprojection error {metrics['reprojection_median_px']:.3f} px, {metrics['seconds_total']:.1f} s"
     ]
+    if metrics.get("points_outside_water"):
+        wet = metrics["points"] - metrics["points_above_water"] - metrics["points_outside_water"]
+        lines.append(
+            f"{wet} points under water, {metrics['points_above_water']} above its level, "
+            f"{metrics['points_outside_water']} below it, but outside the water"
+        )
     lines += [f"not registered: {name} {reason}" for name, reason in metrics.get("not_registered", {}).items()]
     if metrics["gravity"] == "estimated":
         lines.append(

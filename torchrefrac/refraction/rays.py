@@ -17,8 +17,8 @@ def refract_rays(
 
     center: on the camera's side; direction: in the camera's medium, of any length. Returns where the ray enters the
     last medium, its unit direction there, and a mask: False where the ray does not go towards the interface, is totally
-    reflected on the way, or starts on the wrong side. There the ray is returned as it came, from the centre. Without
-    refraction every ray that meets the plane is valid.
+    reflected on the way, or starts on the wrong side, and where the interface lies infinitely deep. There the ray is
+    returned as it came, from the centre. Without refraction every ray that meets the plane is valid.
     """
 
     def refract(center: Vectors, direction: Vectors, *parameters: Parameter) -> tuple[Vectors, Vectors, Mask]:
@@ -28,7 +28,7 @@ def refract_rays(
         length = triples.dot(v, v).sqrt()
         unit = triples.scaled(length.clamp(min=torch.finfo(length.dtype).tiny).reciprocal(), v)
         cosine, height = -triples.dot(unit, n), triples.dot(n, c) - offset
-        valid = (cosine > 0) & (height > 0)
+        valid = (cosine > 0) & (height > 0) & (height < torch.inf)
         cosine = torch.where(valid, cosine, 1.0)
         along = triples.add_scaled(unit, cosine, n)
         origin = triples.add_scaled(c, height / cosine, unit)

@@ -2,6 +2,7 @@
 
 from torchrefrac.scene.capture import Capture, CaptureError
 from torchrefrac.scene.dense import DenseCloud, DepthMap
+from torchrefrac.scene.extent import WaterExtent
 from torchrefrac.scene.findings import Finding, WarningCode
 from torchrefrac.scene.interfaces import Interfaces
 from torchrefrac.scene.raster import Raster
@@ -21,5 +22,5 @@ from torchrefrac.scene.truth import Truth, TruthPoints
 __all__ = [
     "Assessment", "Cameras", "Capture", "CaptureError", "DenseCloud", "DepthMap", "Finding", "Interfaces",
     "Observations", "Part", "Raster", "Scene", "SceneError", "Survey", "SurveyError", "Truth", "TruthPoints", "Views",
-    "WarningCode", "largest_deviation", "mean_deviation", "reprojection_errors",
+    "WarningCode", "WaterExtent", "largest_deviation", "mean_deviation", "reprojection_errors",
 ]  # fmt: skip

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.checks import TorchrefracError
+from torchrefrac.scene.extent import WaterExtent
 from torchrefrac.scene.interfaces import Interfaces
 from torchrefrac.scene.tables import Cameras
 
@@ -27,8 +28,8 @@ class Capture:
     down_sigma radians (infinite: not known), which mean nothing unless has_gravity (they are the optical axes then);
     height above the water in length_unit where has_height says that it was measured. heading: compass heading of the
     image's top after levelling, radians clockwise from north (world +y), with an error of degrees; it means nothing
-    unless has_heading, and reports alone look at it. folder: where the capture was read from; truth, if any, lies
-    beside it.
+    unless has_heading, and reports alone look at it. water_extent: where the water ends, if that is known. folder:
+    where the capture was read from; truth, if any, lies beside it.
     """
 
     folder: Path
@@ -46,6 +47,7 @@ class Capture:
     has_heading: bool = False
     camera: Int[Tensor, " c"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
     interface: Int[Tensor, " c"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
+    water_extent: WaterExtent | None = None
 
     def __post_init__(self) -> None:
         for name in ("camera", "interface"):
@@ -88,6 +90,7 @@ class Capture:
             self,
             names=tuple(self.names[i] for i in rows),
             paths=tuple(self.paths[i] for i in rows),
+            water_extent=self.water_extent and self.water_extent.of_views(rows),
             **{name: getattr(self, name)[list(rows)] for name in PER_VIEW if len(getattr(self, name))},
         )
 

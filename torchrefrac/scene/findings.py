@@ -17,6 +17,7 @@ class WarningCode(StrEnum):
     DUPLICATE_IMAGE = "duplicate_image"
     NO_REFRACTION_SEEN = "no_refraction_seen"
     SURFACE_NOT_FLAT = "surface_not_flat"
+    POINTS_OUTSIDE_WATER = "points_outside_water"
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from functools import cached_property
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.geometry import Plane
@@ -60,13 +60,16 @@ class Interfaces:
         """All surfaces as a batch (e)."""
         return Plane(self.normal, self.offset, check=False)
 
-    def of_views(self, interface: Any) -> FlatInterface:
+    def of_views(self, interface: Any, dry: Bool[Tensor, "*batch"] | None = None) -> FlatInterface:
         """What views with the interfaces `interface` (*B) look through, as a batch (*B); not batched where there is one
-        for all."""
+        for all. dry (*B): which of them look at something without water before it: their surface lies infinitely
+        deep, so that nothing is beyond it."""
         if self.is_air:
             return FlatInterface(1.0)
         rows = 0 if len(self) == 1 else interface
         plane = Plane() if len(self) == 1 and self.is_level else self.planes.indexed(rows, (len(self),))
+        if dry is not None:
+            plane = Plane(plane.normal, without_water(self.offset[rows], dry), check=False)
         return FlatInterface(self.index_ratio[rows], plane=plane, check=False)
 
     def refract(self) -> bool:
@@ -76,3 +79,9 @@ class Interfaces:
     def detached(self) -> "Interfaces":
         """The same without a graph."""
         return Interfaces(self.normal.detach(), self.offset.detach(), self.index_ratio.detach())
+
+
+def without_water(offset: Float[Tensor, "*#batch"], dry: Bool[Tensor, "*#batch"]) -> Float[Tensor, "*batch"]:
+    """Offsets of surfaces, infinitely deep where it is dry: nothing lies beyond them then, and nothing depends on where
+    they are."""
+    return torch.where(dry, -torch.inf, offset)

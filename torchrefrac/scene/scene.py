@@ -33,7 +33,9 @@ class Assessment:
     index_ratio_sigma: None where it was given.
     determined: sentences about water, intrinsics and scale; fixed: what was to be refined, but is not determined, and
     why. wished: by how much "index_ratio" and the logarithm of the "focal" length, which were given, would change if
-    the images had a say, and the standard deviations of these changes.
+    the images had a say, and the standard deviations of these changes. disputed: how many tracks are seen straight, as
+    their observations say, though they lie within the stated extent of the water, and how many through water, though
+    beyond.
     """
 
     pixel_sigma: float | None = None
@@ -47,6 +49,7 @@ class Assessment:
     wished: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     surface_slope: float = 0.0
     surface_moves: bool = False
+    disputed: tuple[int, int] = (0, 0)
 
     @property
     def point_sigma(self) -> Float[Tensor, " n"] | None:
@@ -59,9 +62,10 @@ class Scene:
     """What is known of a scene, at any stage; every step makes a new one.
 
     World: z up, the (first) interface at z = 0 unless a file says otherwise; lengths in length_unit. Points have a
-    position where `placed`, and colours (RGB). Observations ascend by point; `accepted` are those that support a placed
-    point in a registered view. failures: why a view is not registered, by name. findings: what the images say against
-    what was stated. capture: the photographs of the views, in their order, where they are at hand.
+    position where `placed`, and colours (RGB); those that are `dry` are seen straight even below the surface, as there
+    is no water before them (None: no point is known to be so). Observations ascend by point; `accepted` are those that
+    support a placed point in a registered view. failures: why a view is not registered, by name. findings: what the
+    images say against what was stated. capture: the photographs of the views, in their order, where they are at hand.
 
     Raises SceneError where shapes do not fit together, an index is out of range or observations do not ascend.
     """
@@ -74,6 +78,7 @@ class Scene:
     placed: Bool[Tensor, " n"]
     observations: Observations
     accepted: Bool[Tensor, " k"]
+    dry: Bool[Tensor, " n"] | None = None
     length_unit: str = "unit"
     failures: Mapping[str, str] = field(default_factory=dict)
     assessment: Assessment = field(default_factory=Assessment)
@@ -85,8 +90,10 @@ class Scene:
         cls, capture: Capture, observations: Observations, colors: UInt8[Tensor, "n 3"], index_ratio: float
     ) -> "Scene":
         """Before anything is known: views without poses, points (the tracks of `observations`) without positions,
-        behind interfaces of this index ratio."""
+        behind interfaces of this index ratio; dry where most photographs in which the water's extent is drawn show
+        them outside."""
         m, n, interfaces = len(capture), len(colors), capture.interfaces
+        extent = capture.water_extent if index_ratio > 1.0 else None
         posed = torch.zeros(m, dtype=torch.bool)
         return cls(
             cameras=capture.cameras,
@@ -97,6 +104,7 @@ class Scene:
             placed=torch.zeros(n, dtype=torch.bool),
             observations=observations,
             accepted=torch.zeros(len(observations), dtype=torch.bool),
+            dry=extent.all_votes(observations, n) > 0 if extent is not None and extent.is_drawn else None,
             length_unit=capture.length_unit,
             capture=capture,
         )
@@ -152,6 +160,8 @@ class Scene:
             "normal": (self.interfaces.normal, (e, 3)),
             "index_ratio": (self.interfaces.index_ratio, (e,)),
         }
+        if self.dry is not None:
+            shapes["dry"] = (self.dry, (n,))
         for name, (value, wanted) in shapes.items():
             if tuple(value.shape) != wanted:
                 raise SceneError(
@@ -181,13 +191,19 @@ class Scene:
             raise SceneError(f"the interfaces have index ratios {ratio.tolist()}, but only one can be used here")
         return float(ratio[0])
 
-    def camera_of(self, view: Any = slice(None)) -> RefractiveCamera:
+    def camera_of(self, view: Any = slice(None), point: Int[Tensor, "*batch"] | None = None) -> RefractiveCamera:
         """The cameras of views (*B) as a batch (*B), by default of all; of views that are not registered they mean
-        nothing."""
+        nothing. point (*B): what each looks at, without water before it where the point is dry; by default through
+        water."""
         views = self.views
         intrinsics = self.cameras.of_views(views.camera[view])
-        interface = self.interfaces.of_views(views.interface[view])
+        dry = None if self.dry is None or point is None else self.dry[point]
+        interface = self.interfaces.of_views(views.interface[view], dry)
         return RefractiveCamera(intrinsics, views.rotation[view], views.center[view], interface, check=False)
+
+    def cameras_of(self, seen: Observations) -> RefractiveCamera:
+        """The camera of each observation (k) as a batch (k), looking at the point that is observed."""
+        return self.camera_of(seen.view, seen.point)
 
     def errors(self) -> Float[Tensor, " k"]:
         """Reprojection errors in pixels; inf where there is no pose, no position or no projection."""
@@ -195,12 +211,27 @@ class Scene:
         usable = self.views.registered[seen.view] & self.placed[seen.point]
         result = torch.full_like(seen.pixels[:, 0], torch.inf)
         seen = seen[rows := usable.nonzero()[:, 0]]
-        result[rows] = reprojection_errors(self.camera_of(seen.view), self.points[seen.point], seen.pixels)
+        result[rows] = reprojection_errors(self.cameras_of(seen), self.points[seen.point], seen.pixels)
         return result
 
     def support(self) -> Int[Tensor, " m"]:
         """How many accepted observations each view has."""
         return torch.bincount(self.observations.view[self.accepted], minlength=len(self.views))
+
+    def above_water(self) -> Bool[Tensor, " n"]:
+        """Points above the surface that the first view with an observation of them looks through, or the first."""
+        seen, interfaces = self.observations, self.interfaces
+        if len(interfaces) == 1 or not len(seen):
+            return interfaces.planes.indexed(0, (len(interfaces),)).signed_distance(self.points) > 0.0
+        first = torch.searchsorted(seen.point, torch.arange(len(self.points))).clamp(max=len(seen) - 1)
+        interface = self.views.interface[seen.view[first]]
+        return interfaces.planes.indexed(interface, (len(interfaces),)).signed_distance(self.points) > 0.0
+
+    def outside_water(self) -> Bool[Tensor, " n"]:
+        """Placed points that lie below the surface, but not under water."""
+        if self.dry is None:
+            return torch.zeros_like(self.placed)
+        return self.placed & self.dry & ~self.above_water()
 
     def detached(self) -> "Scene":
         """The same without a graph."""
@@ -231,6 +262,7 @@ class Scene:
             points=self.points[ids],
             colors=self.colors[ids],
             placed=self.placed[ids],
+            dry=self._dry_of(ids),
             observations=replace(seen, view=slot[seen.view], point=point),
             accepted=torch.ones_like(seen.point, dtype=torch.bool),
         )
@@ -257,6 +289,7 @@ class Scene:
             points=points,
             colors=colors,
             placed=torch.ones(len(points), dtype=torch.bool, device=points.device),
+            dry=None,
             observations=seen,
             accepted=torch.ones_like(seen.point, dtype=torch.bool),
         )
@@ -282,6 +315,7 @@ class Scene:
             points=self.points[ids],
             colors=self.colors[ids],
             placed=self.placed[ids],
+            dry=self._dry_of(ids),
             observations=replace(seen, point=point),
             accepted=self.accepted[self.accepted],
         )
@@ -296,6 +330,9 @@ class Scene:
         first[order[1:][repeats]] = False
         several = torch.bincount(seen.point[first], minlength=n) >= 2
         return replace(self, accepted=first & several[seen.point]).trimmed()
+
+    def _dry_of(self, points: Int[Tensor, " p"]) -> Bool[Tensor, " p"] | None:
+        return None if self.dry is None else self.dry[points]
 
 
 class Part(NamedTuple):

@@ -18,7 +18,7 @@ class Truth:
     rotation: cam_from_world. A plane is corner + s edge1 + t edge2 with s and t from 0 to 1. The water surface, where
     there is one, is z = 0; index_ratio is n_water / n_air, intrinsics those of all photographs, None where they are not
     known. surface: all that cameras see, the planes among it, as triangles; None: there are only the planes.
-    folder: where it was read from.
+    water_extent: corners of the water as seen from above; None: it is everywhere. folder: where it was read from.
     """
 
     names: tuple[str, ...]
@@ -31,6 +31,7 @@ class Truth:
     index_ratio: float | None = None
     intrinsics: Intrinsics | None = None
     surface: TriangleMesh | None = None
+    water_extent: Float[Tensor, "c 2"] | None = None
     folder: Path | None = None
 
     @property

@@ -23,6 +23,7 @@ def with_control(scene: Scene, survey: Survey) -> Scene:
         points=torch.cat((scene.points, positions)),
         colors=torch.cat((scene.colors, scene.colors.new_full((k, 3), 255))),
         placed=torch.cat((scene.placed, scene.placed.new_zeros(k))),
+        dry=None if scene.dry is None else torch.cat((scene.dry, scene.dry.new_zeros(k))),
         observations=Observations(
             torch.cat((seen.view, survey.control_image)),
             torch.cat((seen.point, count + survey.control)),

@@ -12,7 +12,12 @@ from torchrefrac.sfm.heights import fit_heights
 
 
 def fix_frame(scene: Scene, capture: Capture) -> Scene:
-    """Put the first registered view at x = y = 0 with heading 0, and scale to the measured heights.
+    """The scene in its final frame; see `final_frame`."""
+    return transformed(scene, final_frame(scene, capture)) if scene.views.num_registered else scene
+
+
+def final_frame(scene: Scene, capture: Capture) -> Similarity:
+    """What puts the first registered view at x = y = 0 with heading 0, and scales to the measured heights.
 
     Through water the scale is that of the measured camera heights which agree, see `fit_heights` (or makes the first
     height 1); plane and vertical stay. Without refraction neither can be seen: the frame is levelled by the mean of the
@@ -20,8 +25,6 @@ def fix_frame(scene: Scene, capture: Capture) -> Scene:
     """
     views = scene.views
     registered = views.registered.nonzero()[:, 0]
-    if not len(registered):
-        return scene
     refractive = scene.index_ratio > 1.0
     level = torch.eye(3, dtype=torch.float64) if refractive else _level(scene, capture, registered)
     first = registered[0]
@@ -36,7 +39,7 @@ def fix_frame(scene: Scene, capture: Capture) -> Scene:
     else:
         lift = torch.where(measured[0], capture.height[first], 1.0) - center[0, 2]
     shift = torch.stack((-center[0, 0], -center[0, 1], lift))
-    return transformed(scene, Similarity(scale, rotation, scale * shift))
+    return Similarity(scale, rotation, scale * shift)
 
 
 def transformed(scene: Scene, change: Similarity) -> Scene:

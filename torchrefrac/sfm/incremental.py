@@ -4,6 +4,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import torch
+from jaxtyping import Int
+from torch import Tensor
 
 from torchrefrac.bundle import GravityPrior, Term
 from torchrefrac.checks import TorchrefracError
@@ -11,8 +13,9 @@ from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, Part, Scene
 from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess_scene
+from torchrefrac.sfm.dry_points import disputed, find_dry, same_dry, stated_sides, with_dry
 from torchrefrac.sfm.filter_points import affordable_length, filter_points
-from torchrefrac.sfm.frame import fix_frame
+from torchrefrac.sfm.frame import final_frame, fix_frame
 from torchrefrac.sfm.gravity import contradicted_gravity
 from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.pose import PoseInitializer
@@ -60,6 +63,9 @@ def reconstruct_sparse(
         scene = fix_frame(scene, capture)
         growth.show(scene)
         assessment = assess_scene(scene, growth.rules, growth.fixed)
+        sides = growth.sides(scene)
+        if sides is not None:
+            assessment = replace(assessment, disputed=disputed(scene, growth.rules, sides))
         advance(1, "")
     return replace(scene, failures=growth.failures, assessment=assessment).trimmed()
 
@@ -142,7 +148,21 @@ class _Growth:
             most = 2 * int((unknown & scene.views.registered).sum()) > scene.views.num_registered
             self.down_sigma = torch.where(unknown | most, torch.inf, self.down_sigma)
             scene = self._converged(scene, rules)
+        return self._with_dry(scene, rules)
+
+    def _with_dry(self, scene: Scene, rules: Rules) -> Scene:
+        """With those points seen straight that are, and everything adjusted to that, until no more are found."""
+        for _ in range(self.options.final_rounds):
+            dry = find_dry(scene, rules, self.sides(scene))
+            if same_dry(dry, scene.dry):
+                break
+            scene = self._converged(with_dry(scene, dry), rules)
         return scene
+
+    def sides(self, scene: Scene) -> Int[Tensor, " n"] | None:
+        """On which side of the border of the water the points lie, where one is stated."""
+        extent = self.capture.water_extent
+        return None if extent is None else stated_sides(scene, extent, final_frame(scene, self.capture))
 
     def _converged(self, scene: Scene, rules: Rules) -> Scene:
         """Points and observations judged and everything adjusted, in turn, until little changes any more."""

@@ -8,9 +8,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
-from torchrefrac.geometry import Rigid
+from torchrefrac.geometry import Plane, Rigid
+from torchrefrac.minimal import triangulate
 from torchrefrac.refraction import FlatInterface
+from torchrefrac.scene.interfaces import without_water
 from torchrefrac.sfm.rays import Rays
+
+DEEPEST = 5.0  # times the height of the cameras, of what is seen straight below the water's level
 
 Pixels = tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]]
 
@@ -27,12 +31,14 @@ class Pose:
 @dataclass(frozen=True, eq=False)
 class PairPose:
     """Two cameras in a frame of their own, which matches agree, and the median angle (radians) between their rays.
-    Without a pose where the inliers agree on one but do not determine it."""
+    Without a pose where the inliers agree on one but do not determine it. straight: other matches that agree if nothing
+    is bent, below the water's level; None: nobody looked."""
 
     rotation: Float[Tensor, "2 3 3"] | None
     center: Float[Tensor, "2 3"] | None
     inliers: Bool[Tensor, " k"]
     median_angle: float
+    straight: Bool[Tensor, " k"] | None = None
 
 
 class PoseInitializer(Protocol):
@@ -55,17 +61,39 @@ class PoseInitializer(Protocol):
 
 
 def judge_pair(
-    pose: Rigid, pixels: Pixels, intrinsics: Intrinsics, index_ratio: Float[Tensor, ""], max_error: float
+    pose: Rigid,
+    pixels: Pixels,
+    intrinsics: Intrinsics,
+    index_ratio: Float[Tensor, ""],
+    max_error: float,
+    dry: Bool[Tensor, " k"] | None = None,
 ) -> PairPose:
-    """Which matches, of points in the water or in air, reproject within max_error in both images of a pose."""
+    """Which matches, of points in the water or in air, reproject within max_error in both images of a pose. dry: those
+    without water before them, by default none."""
     both = torch.stack(pixels, dim=1)
-    camera = cameras_of(intrinsics, pose, index_ratio)
+    camera = cameras_of(intrinsics, pose, index_ratio, None if dry is None else dry[:, None])
     points, angle, valid = meet(camera, both)
     projected, possible = camera.project(points[:, None])
     error = (projected - both).norm(dim=-1).amax(dim=-1)
     inliers = valid & possible.all(dim=-1) & (error < max_error)
     median = float(angle[inliers].median()) if bool(inliers.any()) else 0.0
-    return PairPose(pose.rotation, pose.center, inliers, median)
+    return PairPose(pose.rotation, pose.center, inliers, median, _straight(camera, both, inliers, max_error))
+
+
+def _straight(
+    camera: RefractiveCamera, both: Float[Tensor, "k 2 2"], inliers: Bool[Tensor, " k"], max_error: float
+) -> Bool[Tensor, " k"]:
+    """Which matches that are no inliers reproject within max_error from a place below the surface, seen straight."""
+    straight, rows = torch.zeros_like(inliers), (~inliers).nonzero()[:, 0]
+    pinholes = RefractiveCamera(
+        camera.intrinsics, camera.cam_from_world_rotation, camera.center_in_world, FlatInterface(1.0), check=False
+    )
+    points, valid = triangulate(pinholes.center_in_world.expand(len(rows), 2, 3), pinholes.view_directions(both[rows]))
+    projected, possible = pinholes.project(points[:, None])
+    error = (projected - both[rows]).norm(dim=-1).amax(dim=-1)
+    deepest = -DEEPEST * float(pinholes.center_in_world[:, 2].max())
+    below = (points[:, 2] < 0.0) & (points[:, 2] > deepest)
+    return straight.index_copy(0, rows, valid & possible.all(dim=-1) & (error < max_error) & below)
 
 
 def meet(
@@ -75,6 +103,10 @@ def meet(
     return Rays.of(camera, both).meet(lambda points: points[..., 2])
 
 
-def cameras_of(intrinsics: Intrinsics, pose: Rigid, index_ratio: Float[Tensor, ""]) -> RefractiveCamera:
-    """Those of a pair, above a level surface."""
-    return RefractiveCamera(intrinsics, pose.rotation, pose.center, FlatInterface(index_ratio), check=False)
+def cameras_of(
+    intrinsics: Intrinsics, pose: Rigid, index_ratio: Float[Tensor, ""], dry: Bool[Tensor, "k 1"] | None = None
+) -> RefractiveCamera:
+    """Those of a pair, above a level surface; or a pair for each of k matches, without water where it is `dry`."""
+    plane = Plane() if dry is None else Plane(offset=without_water(torch.zeros_like(index_ratio), dry), check=False)
+    interface = FlatInterface(index_ratio, plane=plane)
+    return RefractiveCamera(intrinsics, pose.rotation, pose.center, interface, check=False)

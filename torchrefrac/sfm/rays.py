@@ -68,7 +68,7 @@ class Tracks(NamedTuple):
     @property
     def cameras(self) -> RefractiveCamera:
         """Of each observation."""
-        return self.scene.camera_of(self.scene.observations.view[self.rows])
+        return self.scene.cameras_of(self.scene.observations[self.rows])
 
     @property
     def pixels(self) -> Float[Tensor, "k 2"]:
@@ -91,6 +91,14 @@ class Tracks(NamedTuple):
         for lines, table in self._by_length():
             angle[lines] = rays[table].opening(self._height(points[lines], table) >= 0.0)
         return angle
+
+    def height(self, points: Float[Tensor, "l 3"]) -> Float[Tensor, " l"]:
+        """Mean height of points, one for each track, above the surfaces that their observations look through."""
+        height = points[:, 2].clone()
+        if not self.scene.interfaces.is_level:
+            for lines, table in self._by_length():
+                height[lines] = self._height(points[lines], table)
+        return height
 
     def _height(self, points: Float[Tensor, "t 3"], table: Int[Tensor, "t n"]) -> Float[Tensor, " t"]:
         """Mean height of points above the surfaces that their observations look through."""

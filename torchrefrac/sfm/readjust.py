@@ -13,6 +13,7 @@ from torchrefrac.recorder import Advance, Recorder, SilentRecorder
 from torchrefrac.scene import Part, Scene, Survey
 from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess
 from torchrefrac.sfm.control import check_vertical, survey_terms, with_control
+from torchrefrac.sfm.dry_points import find_dry, with_dry
 from torchrefrac.sfm.filter_points import filter_points
 from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.rules import ReadjustOptions
@@ -93,7 +94,9 @@ class Work:
         with self.recorder.meter((1 + options.rounds) * most, "adjusting", "") as advance:
             scene, outcome = self.adjust(scene, self.first(scene), advance)
             for i in range(options.rounds):
-                before, limit = scene, options.max_error if i == options.rounds - 1 else self._generous(scene)
+                last = i == options.rounds - 1
+                before, limit = scene, options.max_error if last else self._generous(scene)
+                scene = self._with_dry(scene) if last else scene
                 rules = replace(self.rules, max_error=limit)
                 doubtful = self._doubtful(scene, limit)
                 doubtful[self.ties :] &= ~scene.placed[self.ties :]  # control points are where measurements have them
@@ -104,6 +107,13 @@ class Work:
                 else:
                     advance(most, "")
         return scene, outcome
+
+    def _with_dry(self, scene: Scene) -> Scene:
+        """With those points seen straight that are, unless it is known which; control points stay where they are."""
+        if scene.dry is not None:
+            return scene
+        found = with_dry(scene, find_dry(scene, self.rules))
+        return replace(found, placed=found.placed | (scene.placed & self.known))
 
     def first(self, scene: Scene) -> BundleOptions:
         """How the first adjustment is done."""
@@ -149,20 +159,12 @@ class Work:
 
     def _note_dry(self, scene: Scene) -> None:
         ties = scene.placed[: self.ties]
-        dry = int((_above_water(scene)[: self.ties] & ties).sum())
+        dry = int((scene.above_water()[: self.ties] & ties).sum())
         if 2 * dry > int(ties.sum()) and scene.index_ratio > 1.0:
             self.recorder.note(
                 f"{dry} of {int(ties.sum())} points lie above the water, where nothing refracts: is the plane given "
                 "in the frame of the reconstruction?"
             )
-
-
-def _above_water(scene: Scene) -> Bool[Tensor, " n"]:
-    """Points above the surface that the first view with an observation of them looks through."""
-    seen = scene.observations
-    first = torch.searchsorted(seen.point, torch.arange(len(scene.points))).clamp(max=len(seen) - 1)
-    interface = scene.views.interface[seen.view[first]]
-    return scene.interfaces.planes.indexed(interface, (len(scene.interfaces),)).signed_distance(scene.points) > 0.0
 
 
 def _same_parts(scene: Scene, other: Scene) -> bool:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.geometry import Rigid, level_rotation
@@ -33,13 +33,16 @@ class RefractiveInitializer:
             pixel_sigma=self.options.bundle.pixel_sigma,
         )
         least = max(self.options.min_pair_inliers, self.options.ransac.min_inliers)
+        dry = self._dry(images, pixels)
+        views = views if dry is None else views.rows(~dry)
         report = ransac(RelativePoseEstimator(views), replace(self.options.ransac, min_inliers=least), generator)
         if report.status == "degenerate":
-            return PairPose(None, None, report.inliers, 0.0)
+            inliers = report.inliers if dry is None else (~dry).masked_scatter(~dry, report.inliers)
+            return PairPose(None, None, inliers, 0.0)
         if report.status != "success":
             return None
         rotation, center = (part[0] for part in views.poses(report.model[None]))
-        return judge_pair(Rigid(rotation, center), pixels, intrinsics, self._ratio, self.options.ransac.max_error)
+        return judge_pair(Rigid(rotation, center), pixels, intrinsics, self._ratio, self.options.ransac.max_error, dry)
 
     def absolute(
         self, image: int, pixels: Float[Tensor, "k 2"], points: Float[Tensor, "k 3"], generator: torch.Generator
@@ -59,6 +62,15 @@ class RefractiveInitializer:
             return None
         rotation, center = (part[0] for part in view.poses(report.model[None]))
         return Pose(rotation, center, report.inliers)
+
+    def _dry(self, images: tuple[int, int], pixels: Pixels) -> Bool[Tensor, " k"] | None:
+        """Which matches look past the water, where its extent is drawn; None where none do."""
+        extent = self.capture.water_extent
+        if extent is None or not extent.is_drawn:
+            return None
+        first, second = (extent.votes(image, at) for image, at in zip(images, pixels, strict=True))
+        dry = first + second > 0
+        return dry if bool(dry.any()) else None
 
     @property
     def _ratio(self) -> Float[Tensor, ""]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from torchrefrac.scene import Scene
@@ -40,9 +40,14 @@ def start(scene: Scene, pair: VerifiedPair, rules: Rules) -> tuple[Scene, Outcom
 
 
 def visible_points(scene: Scene) -> Int[Tensor, " m"]:
-    """How many placed points each view sees."""
+    """How many placed points each view sees by which its pose can be found."""
     seen = scene.observations
-    return torch.bincount(seen.view[scene.placed[seen.point]], minlength=len(scene.views))
+    return torch.bincount(seen.view[_usable(scene)[seen.point]], minlength=len(scene.views))
+
+
+def _usable(scene: Scene) -> Bool[Tensor, " n"]:
+    """Points by which poses can be found: those in the water and above its level, but not dry ones below it."""
+    return scene.placed if scene.dry is None else scene.placed & ~scene.outside_water()
 
 
 def register(scene: Scene, view: int, rules: Rules) -> tuple[Scene, Outcome]:
@@ -53,7 +58,7 @@ def register(scene: Scene, view: int, rules: Rules) -> tuple[Scene, Outcome]:
     if rules.poses is None:
         raise ValueError("rules.poses is None, but must find poses")
     seen = scene.observations
-    rows = ((seen.view == view) & scene.placed[seen.point]).nonzero()[:, 0]
+    rows = ((seen.view == view) & _usable(scene)[seen.point]).nonzero()[:, 0]
     numbers = {"seen": len(rows), "needed": rules.min_registration_inliers, "agreeing": 0}
     if len(rows) < rules.min_registration_inliers:
         return scene, Outcome(Registration.FEW_POINTS, numbers)

@@ -1,13 +1,18 @@
 """Geometric verification: which matches of a pair agree on one relative pose."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Int
+from torch import Tensor
 
 from torchrefrac.features import Features, PairMatches
 from torchrefrac.recorder import Recorder
 from torchrefrac.sfm.pose import PairPose, PoseInitializer
+
+BY_CHANCE = 0.005
+"""Share of the matches that agree, of further ones that do if nothing is bent, which wrong matches stay far below."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +32,13 @@ def verify_pairs(
     generator: torch.Generator,
     recorder: Recorder,
 ) -> list[VerifiedPair]:
-    """Keep the inliers of each pair; pairs with fewer than `min_inliers` are dropped."""
-    verified = []
+    """Keep the inliers of each pair; pairs with fewer than `min_inliers` are dropped.
+
+    Where many more matches agree if they are seen straight, below the water's level, than do by chance, the water ends
+    somewhere, and these are kept too.
+    """
+    verified: list[VerifiedPair] = []
+    others: list[Int[Tensor, "_ 2"]] = []
     for step, pair in enumerate(recorder.track(pairs, len(pairs), "verifying", "pair")):
         if len(pair) < min_inliers:
             continue
@@ -41,4 +51,11 @@ def verify_pairs(
         if pose is not None and count >= min_inliers:
             kept = PairMatches(pair.first, pair.second, pair.matches[pose.inliers])
             verified.append(VerifiedPair(kept, pose, len(pair)))
-    return verified
+            others.append(pair.matches[:0] if pose.straight is None else pair.matches[pose.straight])
+    straight, bent = sum(map(len, others)), sum(len(one.pair) for one in verified)
+    if straight < max(min_inliers, BY_CHANCE * bent):
+        return verified
+    return [
+        replace(one, pair=replace(one.pair, matches=torch.cat((one.pair.matches, more))))
+        for one, more in zip(verified, others, strict=True)
+    ]

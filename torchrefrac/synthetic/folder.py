@@ -109,6 +109,7 @@ def _truth(stage: Stage, options: SyntheticOptions, attitude: Attitude) -> dict[
     return {
         **{"format": TRUTH_FORMAT, "length_unit": stage.length_unit, "index_ratio": options.index_ratio},
         "surface": SURFACE_FILE,
+        **({"water_extent": [list(corner) for corner in stage.water_extent]} if stage.water_extent else {}),
         "images": [
             {
                 **{"name": name, "cam_from_world_rotation": rotation.tolist(), "center_in_world": center.tolist()},

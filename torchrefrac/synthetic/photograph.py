@@ -37,10 +37,10 @@ class Photographer:
     @classmethod
     def of(cls, stage: Stage, options: SyntheticOptions) -> "Photographer":
         """As the options say."""
-        camera = options.camera
+        camera, waves = options.camera, Waves.draw(options.waves, options.seed)
         return cls(
             stage=stage,
-            scenery=Scenery(stage.pieces, options.index_ratio, Waves.draw(options.waves, options.seed)),
+            scenery=Scenery(stage.pieces, options.index_ratio, waves, stage.water_extent),
             intrinsics=Intrinsics.create(camera.width, camera.height, camera.focal, distortion=camera.distortion),
             samples=options.sensor.samples,
             reflection=options.reflection,

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
+from torchrefrac.geometry.polygon import inside_polygon
 from torchrefrac.geometry.surfaces import Nearest, by_component, nearest
 from torchrefrac.refraction import FlatInterface, refract_rays
 from torchrefrac.synthetic.stage import Piece
@@ -43,11 +44,13 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """Pieces in and above water whose surface is z = 0, or has waves about it."""
+    """Pieces in and above water whose surface is z = 0, or has waves about it. extent: corners of the water as seen
+    from above, beyond which nothing is bent; none: it is everywhere."""
 
     pieces: Sequence[Piece]
     index_ratio: float
     waves: Waves | None = None
+    extent: Sequence[tuple[float, float]] = ()
 
     @cached_property
     def below(self) -> tuple[int, ...]:
@@ -56,8 +59,8 @@ class Scenery:
 
     @cached_property
     def above(self) -> tuple[int, ...]:
-        """Indices of the pieces that reach above some of the water surface."""
-        return tuple(i for i, (_, high) in enumerate(self._reach) if high > -self.crest)
+        """Indices of the pieces that reach above some of the water surface; of all where there is none somewhere."""
+        return tuple(i for i, (_, high) in enumerate(self._reach) if high > -self.crest or self.extent)
 
     @property
     def crest(self) -> float:
@@ -77,6 +80,9 @@ class Scenery:
         """
         directions = by_component(directions)
         entry, start = self._enter(center, directions, moment)
+        if self.extent:
+            corners = torch.tensor(self.extent, dtype=start.dtype)
+            entry = entry._replace(valid=entry.valid & inside_polygon(start[:, :2], corners))
         wet = self._nearest(self.below, start, entry.direction)
         wet = wet._replace(
             length=torch.where(entry.valid, wet.length, torch.inf), surface=torch.where(entry.valid, wet.surface, -1)

@@ -37,7 +37,7 @@ class Stage:
     World: z up, the water surface z = 0, lengths in length_unit. rotation cam_from_world and center of the cameras
     along their path. Surfaces get their colours times `ambient` + `direct` * |normal . towards_light|. position_sigma:
     standard deviation of a coordinate of a camera's satellite position; None: there is none. background: grey value
-    where a ray meets nothing.
+    where a ray meets nothing. water_extent: corners of the water as seen from above; none: it is everywhere.
     """
 
     pieces: tuple[Piece, ...]
@@ -49,3 +49,4 @@ class Stage:
     direct: float = 0.0
     position_sigma: float | None = None
     background: float = 128.0
+    water_extent: tuple[tuple[float, float], ...] = ()

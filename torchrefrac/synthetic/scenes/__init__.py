@@ -7,14 +7,16 @@ from torchrefrac.synthetic.options import SyntheticOptions
 from torchrefrac.synthetic.scenes.cans import CansOptions, cans_stage
 from torchrefrac.synthetic.scenes.mesh import MeshOptions, mesh_stage
 from torchrefrac.synthetic.scenes.riverbed import RiverbedOptions, riverbed_stage
+from torchrefrac.synthetic.scenes.table import TableOptions, table_stage
 from torchrefrac.synthetic.scenes.tank import TankOptions, tank_stage
 from torchrefrac.synthetic.stage import Stage
 
 SCENES: dict[str, type[SyntheticOptions]] = {
-    "tank": TankOptions, "cans": CansOptions, "riverbed": RiverbedOptions, "mesh": MeshOptions,
+    "tank": TankOptions, "cans": CansOptions, "riverbed": RiverbedOptions, "mesh": MeshOptions, "table": TableOptions,
 }  # fmt: skip
 STAGES: dict[type[SyntheticOptions], Callable[[Any], Stage]] = {
     TankOptions: tank_stage, CansOptions: cans_stage, RiverbedOptions: riverbed_stage, MeshOptions: mesh_stage,
+    TableOptions: table_stage,
 }  # fmt: skip
 
 
@@ -29,4 +31,4 @@ def stage_of(options: SyntheticOptions) -> Stage:
     raise TypeError(f"options are {type(options).__name__}, but must be of one of {', '.join(SCENES)}")
 
 
-__all__ = ["SCENES", "CansOptions", "MeshOptions", "RiverbedOptions", "TankOptions", "stage_of"]
+__all__ = ["SCENES", "CansOptions", "MeshOptions", "RiverbedOptions", "TableOptions", "TankOptions", "stage_of"]
