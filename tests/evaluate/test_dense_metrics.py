@@ -44,7 +44,7 @@ def _cloud(points, sigma=1.0):
     count, vectors = len(points), torch.zeros_like(points)
     sigma = torch.as_tensor(sigma, dtype=DOUBLE).expand(count)
     whole = torch.zeros(count, dtype=torch.long)
-    return DenseCloud(points, vectors, vectors.to(torch.uint8), sigma, sigma, whole, whole, "cm")
+    return DenseCloud(points, vectors, vectors.to(torch.uint8), sigma, sigma, whole, whole, sigma, "cm")
 
 
 def _floor(draw, errors):

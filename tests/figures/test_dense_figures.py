@@ -27,7 +27,7 @@ def truth():
 def _cloud(points):
     count, vectors = len(points), torch.zeros_like(points)
     ones, whole = torch.ones(count, dtype=DOUBLE), torch.zeros(count, dtype=torch.long)
-    return DenseCloud(points, vectors, vectors.to(torch.uint8), ones, ones, whole, whole, "cm")
+    return DenseCloud(points, vectors, vectors.to(torch.uint8), ones, ones, whole, whole, ones, "cm")
 
 
 def _sheet(truth, height, count=100):

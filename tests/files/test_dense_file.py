@@ -23,6 +23,7 @@ def make_cloud(draw):
             score=draw.uniform(0.5, 1.0, count),
             views=torch.randint(3, 20, (count,), generator=draw.generator),
             reference=torch.randint(300, (count,), generator=draw.generator),
+            relative_sigma=draw.power_of_ten(-3.0, -1.0, count),
             length_unit="m",
         )
 
@@ -70,6 +71,7 @@ def test_the_properties_have_the_names_and_types_that_viewers_know(tmp_path, mak
         *(f"property uchar {name}" for name in ("red", "green", "blue")),
         "property ushort views",
         "property float sigma",
+        "property float sigma_relative",
         "property float score",
         "property int reference",
     ]
@@ -146,8 +148,8 @@ def test_elements_behind_the_vertices_are_passed_over(tmp_path):
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        (lambda data: data[:-1], "damaged: it has 409 bytes behind its header, but 10 vertices take 410"),
-        (lambda data: data + b"\0", "damaged: it has 411 bytes behind its header, but 10 vertices take 410"),
+        (lambda data: data[:-1], "damaged: it has 449 bytes behind its header, but 10 vertices take 450"),
+        (lambda data: data + b"\0", "damaged: it has 451 bytes behind its header, but 10 vertices take 450"),
         (lambda data: data[:40], "not a PLY file"),
         (lambda data: b"", "not a PLY file"),
         (lambda data: b"solid" + data, "not a PLY file"),

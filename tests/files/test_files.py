@@ -252,7 +252,7 @@ def _raw_ply(path):
 def test_dry_points_are_marked_in_a_cloud(tmp_path, draw):
     dry = torch.tensor([True, False, True])
     colors = torch.zeros(3, 3, dtype=torch.uint8)
-    write_points(draw.normal(3, 3), colors, tmp_path / "points.ply", torch.ones(3).double(), dry)
+    write_points(draw.normal(3, 3), colors, tmp_path / "points.ply", _known(torch.ones(3).double()), dry)
     vertices, _ = read_vertices(tmp_path / "points.ply")
     assert vertices["dry"].tolist() == [1, 0, 1]
     write_points(draw.normal(3, 3), colors, tmp_path / "points.ply")

@@ -28,6 +28,7 @@ def cloud_of(points, sigma=0.01, colors=None):
         score=torch.ones(count, dtype=torch.float64),
         views=torch.full((count,), 3),
         reference=torch.zeros(count, dtype=torch.long),
+        relative_sigma=torch.as_tensor(sigma, dtype=torch.float64).expand(count).clone(),
         length_unit="m",
     )
 

@@ -242,3 +242,17 @@ def test_dry_must_be_truth_values_of_all_points(run, change_tracks):
     change_tracks(lambda arrays: arrays.update(dry=np.zeros(len(arrays["points"]) - 1, dtype=bool)))
     with pytest.raises(SceneError, match="dry is bool"):
         read_run(run)
+
+
+def test_what_is_known_of_the_points_is_read_again(scene, run, draw):
+    root = draw.normal(len(scene.points), 3, 3)
+    covariance = root @ root.mT
+    known = replace(scene.assessment, point_covariance=covariance, relative_covariance=0.25 * covariance)
+    write_tracks(replace(scene, assessment=known), run / "tracks.npz")
+
+    found = read_run(run)
+
+    assert found.assessment.point_covariance.shape == (len(found.points), 3, 3)
+    of = torch.cdist(found.points, scene.points).argmin(dim=1)
+    torch.testing.assert_close(found.assessment.point_covariance, covariance[of], rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(found.assessment.relative_covariance, 0.25 * covariance[of], rtol=1e-6, atol=1e-6)

@@ -225,7 +225,8 @@ def test_known_control_fixes_the_whole_frame(plant, draw):
     torch.testing.assert_close(found.scene.views.center, planted.truth.views.center, rtol=0.0, atol=0.05)
     assert found.control["m2"] == pytest.approx(planted.truth.points[2].tolist(), abs=0.03)
     assert len(found.ties.points) == len(planted.truth.points)
-    assert len(found.scene.assessment.point_sigma) == len(planted.truth.points)
+    assert len(found.scene.assessment.point_sigma) == len(found.scene.points)
+    assert found.scene.assessment.point_sigma.isfinite().equal(found.scene.placed)
 
 
 def test_a_control_point_that_one_view_sees_goes_by_its_known_position(plant, draw):

@@ -101,7 +101,9 @@ def make_dense_run(make_run, draw):
         run = make_run(name, model, capture, **DENSE | fields)
         points, numbers = draw.uniform(-100.0, -50.0, 40, 3), draw.uniform(0.5, 1.0, 40)
         counts = torch.zeros(40, dtype=torch.long)
-        cloud = DenseCloud(points, draw.directions(40), points.to(torch.uint8), numbers, numbers, counts, counts, "cm")
+        cloud = DenseCloud(
+            points, draw.directions(40), points.to(torch.uint8), numbers, numbers, counts, counts, numbers, "cm"
+        )
         write_dense(cloud, run / "dense.ply")
         return run
 

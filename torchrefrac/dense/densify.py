@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.checks import TorchrefracError
+from torchrefrac.dense.common_errors import common_deviation
 from torchrefrac.dense.filling import METHODS, fill_views
 from torchrefrac.dense.fusion import THICKNESS, fuse, supported, unobstructing
 from torchrefrac.dense.images import Images, photographs
@@ -67,7 +68,8 @@ def densify(
     patches = Patches.together(parts) if len(media) > 1 else parts[0]
     colors = pictures[0].colors(patches.reference, patches.pixels)
     recorder.scalar("dense/points", len(patches), 0)
-    return Dense(patches.cloud(colors, scene.length_unit), *parts)
+    common = common_deviation(patches.points, scene)
+    return Dense(patches.cloud(colors, common, scene.length_unit), *parts)
 
 
 def _surface(

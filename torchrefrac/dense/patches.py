@@ -73,9 +73,11 @@ class Patches:
         """The same on another device."""
         return Patches(*(getattr(self, f.name).to(device) for f in fields(self)))
 
-    def cloud(self, colors: UInt8[Tensor, "n 3"], length_unit: str) -> DenseCloud:
-        """What remains of them where nobody asks for pixels any more."""
-        known = (self.points, self.normals, colors, self.sigma, self.score, self.views, self.reference)
+    def cloud(self, colors: UInt8[Tensor, "n 3"], common: Float[Tensor, " n"], length_unit: str) -> DenseCloud:
+        """What remains of them where nobody asks for pixels any more. common: standard deviation of what errors of
+        cameras and water do to each."""
+        sigma = torch.hypot(self.sigma, common)
+        known = (self.points, self.normals, colors, sigma, self.score, self.views, self.reference, self.sigma)
         return DenseCloud(*known, length_unit)
 
     @property

@@ -21,7 +21,8 @@ MOST_VIEWS = 65535
 
 
 def write_dense(cloud: DenseCloud, path: str | Path) -> None:
-    """Write a dense cloud as binary PLY: x y z nx ny nz red green blue views sigma score reference of every vertex.
+    """Write a dense cloud as binary PLY: x y z nx ny nz red green blue views sigma sigma_relative score reference
+    of every vertex.
 
     Numbers are float32, colours uchar, views ushort (at most 65535), reference int32; the unit of length is a comment
     of the header. Coordinates are float64 where one is more than a million times the median sigma, which float32 would
@@ -31,6 +32,7 @@ def write_dense(cloud: DenseCloud, path: str | Path) -> None:
     triples = ((POSITION, kind, cloud.points), (NORMAL, "f4", cloud.normals), (COLOR, "u1", cloud.colors))
     columns = [(name, k, column) for names, k, of in triples for name, column in zip(names, of.T, strict=True)]
     columns += [("views", "u2", cloud.views.clamp(max=MOST_VIEWS)), ("sigma", "f4", cloud.sigma)]
+    columns += [("sigma_relative", "f4", cloud.relative_sigma)]
     columns += [("score", "f4", cloud.score), ("reference", "i4", cloud.reference)]
     write_vertices(columns, Path(path), comments=(f"{UNIT} {cloud.length_unit}",))
 
@@ -60,6 +62,9 @@ def load_dense(path: str | Path) -> DenseCloud:
         colors=columns(COLOR, np.uint8),
         **{name: columns((name,))[:, 0] for name in ("sigma", "score")},
         **{name: columns((name,), np.int64)[:, 0] for name in ("views", "reference")},
+        relative_sigma=columns(("sigma_relative" if "sigma_relative" in (vertices.dtype.names or ()) else "sigma",))[
+            :, 0
+        ],
         length_unit=units[0],
     )
     if not cloud.points.isfinite().all():

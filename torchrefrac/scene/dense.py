@@ -11,8 +11,9 @@ from torch import Tensor
 class DenseCloud:
     """Oriented points on the surfaces of a scene, in its world frame (z up, water surface at z = 0).
 
-    points in length_unit; normals: unit, towards the cameras; sigma: standard deviation of a point along its viewing
-    ray, in length_unit; score: mean zero-normalised cross-correlation (at most 1) of the reference view with the
+    points in length_unit; normals: unit, towards the cameras; sigma: standard deviation of a point, with what is not
+    known of cameras and water; relative_sigma: of its distance along its viewing ray, as if these were known, both in
+    length_unit; score: mean zero-normalised cross-correlation (at most 1) of the reference view with the
     others; views: by how many a point is seen, the reference included; reference: index of the reference view.
     """
 
@@ -23,6 +24,7 @@ class DenseCloud:
     score: Float[Tensor, " n"]
     views: Int[Tensor, " n"]
     reference: Int[Tensor, " n"]
+    relative_sigma: Float[Tensor, " n"]
     length_unit: str
 
     def __len__(self) -> int:
@@ -36,7 +38,7 @@ class DenseCloud:
     def empty(cls, length_unit: str) -> "DenseCloud":
         vectors, numbers = torch.zeros(0, 3, dtype=torch.float64), torch.zeros(0, dtype=torch.float64)
         counts = torch.zeros(0, dtype=torch.long)
-        return cls(vectors, vectors, vectors.to(torch.uint8), numbers, numbers, counts, counts, length_unit)
+        return cls(vectors, vectors, vectors.to(torch.uint8), numbers, numbers, counts, counts, numbers, length_unit)
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,29 @@ class Assessment:
     surface_moves: bool = False
     disputed: tuple[int, int] = (0, 0)
 
+    def of_points(self, points: Int[Tensor, " p"]) -> "Assessment":
+        """Of some of the points."""
+        full, relative = self.point_covariance, self.relative_covariance
+        return replace(
+            self,
+            point_covariance=None if full is None else full[points],
+            relative_covariance=None if relative is None else relative[points],
+        )
+
+    def spread_over(self, placed: Bool[Tensor, " n"]) -> "Assessment":
+        """Of all points, where it is of those that are `placed`; of the others nothing is known: infinite."""
+
+        def spread(known: Float[Tensor, "p 3 3"] | None) -> Float[Tensor, "n 3 3"] | None:
+            if known is None:
+                return None
+            return known.new_full((len(placed), 3, 3), torch.inf).index_put((placed,), known)
+
+        return replace(
+            self,
+            point_covariance=spread(self.point_covariance),
+            relative_covariance=spread(self.relative_covariance),
+        )
+
     @property
     def point_sigma(self) -> Float[Tensor, " n"] | None:
         """Standard deviation of each point, in length_unit, along the axis in which it is known worst."""
@@ -263,6 +286,7 @@ class Scene:
             colors=self.colors[ids],
             placed=self.placed[ids],
             dry=self._dry_of(ids),
+            assessment=self.assessment.of_points(ids),
             observations=replace(seen, view=slot[seen.view], point=point),
             accepted=torch.ones_like(seen.point, dtype=torch.bool),
         )
@@ -290,6 +314,7 @@ class Scene:
             colors=colors,
             placed=torch.ones(len(points), dtype=torch.bool, device=points.device),
             dry=None,
+            assessment=replace(self.assessment, point_covariance=None, relative_covariance=None),
             observations=seen,
             accepted=torch.ones_like(seen.point, dtype=torch.bool),
         )
@@ -316,6 +341,7 @@ class Scene:
             colors=self.colors[ids],
             placed=self.placed[ids],
             dry=self._dry_of(ids),
+            assessment=self.assessment.of_points(ids),
             observations=replace(seen, point=point),
             accepted=self.accepted[self.accepted],
         )
@@ -357,8 +383,10 @@ def mean_deviation(covariance: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*b
 
 
 def largest_deviation(covariance: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch"]:
-    """Standard deviation along the axis in which it is largest."""
-    return torch.linalg.eigvalsh(covariance)[..., -1].clamp(min=0.0).sqrt()
+    """Standard deviation along the axis in which it is largest; infinite where the covariance is not finite."""
+    known = covariance.isfinite().all(dim=(-2, -1))
+    variance = torch.linalg.eigvalsh(torch.where(known[..., None, None], covariance, 0.0))[..., -1]
+    return torch.where(known, variance.clamp(min=0.0).sqrt(), torch.inf)
 
 
 def require_index(index: Shaped[Tensor, " k"], name: str, count: int) -> None:

@@ -90,9 +90,9 @@ def assess_scene(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Assessmen
     return assess(problem, part.scene, fixed)
 
 
-def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str], num_points: int | None = None) -> Assessment:
-    """At the minimum `scene`; fixed: what was not refined, and why; num_points: leave out the points after these. Where
-    the data do not determine even the cameras nothing is said but what was fixed."""
+def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Assessment:
+    """At the minimum `scene`; fixed: what was not refined, and why. Where the data do not determine even the cameras
+    nothing is said but what was fixed."""
     try:
         known = uncertainty(problem, scene)
         found = determinations(problem, scene, known.pixel_sigma) if scene.index_ratio > 1.0 else []
@@ -102,8 +102,8 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str], num_poin
     wished = ((name, wished_change(problem, scene, name, known.pixel_sigma)) for name in GIVEN)
     return Assessment(
         pixel_sigma=known.pixel_sigma,
-        point_covariance=known.points[:num_points],
-        relative_covariance=known.relative[:num_points],
+        point_covariance=known.points,
+        relative_covariance=known.relative,
         center_sigma=mean_deviation(centers),
         center_covariance=centers,
         index_ratio_sigma=float(known.index_ratio) if "index_ratio" in problem.layout.water else None,

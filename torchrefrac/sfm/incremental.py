@@ -67,7 +67,7 @@ def reconstruct_sparse(
         if sides is not None:
             assessment = replace(assessment, disputed=disputed(scene, growth.rules, sides))
         advance(1, "")
-    return replace(scene, failures=growth.failures, assessment=assessment).trimmed()
+    return replace(scene.trimmed(), failures=growth.failures, assessment=assessment)
 
 
 class _Growth:

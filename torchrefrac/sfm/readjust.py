@@ -50,8 +50,8 @@ def readjust(
     adjusted, outcome = work.adjust_all(first)
     with work.recorder.meter(1, "assessing", "") as advance:
         assert outcome.report is not None
-        report, ties = outcome.report, adjusted.placed[: work.ties]
-        assessment = assess(report.problem, report.scene, report.fixed, int(ties.sum()))
+        report = outcome.report
+        assessment = assess(report.problem, report.scene, report.fixed).spread_over(adjusted.placed)
         advance(1, "")
     missing, median = int((~first.placed[: work.ties]).sum()), float(before[before.isfinite()].median())
     outcome = replace(outcome, numbers={"not_triangulated": missing, "median_before": median})
