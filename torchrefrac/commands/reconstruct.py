@@ -29,6 +29,7 @@ from torchrefrac.sfm import (
     SfmOptions,
     UnknownVerticalError,
     VerifiedPair,
+    better_focal,
     level_capture,
     reconstruct_sparse,
     verify_pairs,
@@ -81,6 +82,9 @@ def reconstruct(
 
     def sparse() -> Scene:
         found = reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder)
+        focal = better_focal(found, stated, matches, features, sfm)
+        if focal is not None:
+            found = replace(found, assessment=replace(found.assessment, wished={"focal": focal}))
         return replace(found, findings=contradictions(found, stated))
 
     return stage("sparse", sparse)

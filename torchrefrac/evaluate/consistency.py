@@ -13,7 +13,8 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from torchrefrac.scene import Capture, Finding, Scene, WarningCode
-from torchrefrac.sfm.gravity import unlikely
+from torchrefrac.sfm.focal import GROSS
+from torchrefrac.sfm.gravity import contradicted_gravity
 from torchrefrac.sfm.heights import fit_heights
 from torchrefrac.sfm.vertical import angle_between
 
@@ -37,7 +38,10 @@ def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     about_images = (*_duplicates(stated), *_weak_images(scene))
     if scene.index_ratio <= 1.0:
         return about_images
-    return (*_given(scene), *_gravity(scene, stated), *_heights(scene, stated), *about_images)
+    intrinsics = _intrinsics(scene)
+    if intrinsics and abs(scene.assessment.wished["focal"][0]) > GROSS:
+        return (*intrinsics, *about_images)
+    return (*intrinsics, *_water(scene), *_gravity(scene, stated), *_heights(scene, stated), *about_images)
 
 
 def _duplicates(stated: Capture) -> list[Finding]:
@@ -68,13 +72,11 @@ def _gravity(scene: Scene, stated: Capture) -> list[Finding]:
             "heights and depths may be off by some percent, slopes by as much; measure down_in_cam"
         )
         return [Finding(WarningCode.GRAVITY_UNDETERMINED, message)]
-    registered = scene.views.registered
-    angle = angle_between(-scene.views.rotation[:, :, 2], stated.down_in_cam)
-    wrong = registered & (angle > unlikely(int(registered.sum())) * stated.down_sigma)
+    wrong = contradicted_gravity(scene, stated.down_in_cam, stated.down_sigma)
     names = _names(scene, wrong)
     if not names:
         return []
-    degrees = torch.rad2deg(angle)[wrong]
+    degrees = angle_between(-scene.views.rotation[wrong][:, :, 2], stated.down_in_cam[wrong]).rad2deg()
     off = f"{float(degrees.median()):.1f} degrees (median)" if len(names) > 1 else f"{float(degrees[0]):.1f} degrees"
     known = float(torch.rad2deg(stated.down_sigma)[wrong].median())
     message = (
@@ -135,8 +137,24 @@ def _weak_images(scene: Scene) -> list[Finding]:
     ]
 
 
-def _given(scene: Scene) -> list[Finding]:
-    """What was given of water and lens."""
+def _intrinsics(scene: Scene) -> list[Finding]:
+    step, sigma = scene.assessment.wished.get("focal", (0.0, 1.0))
+    if abs(step) <= max(SURE * sigma, NOTABLE_FOCAL):
+        return []
+    width, stated = scene.cameras[0].width, float(scene.cameras.focal[0, 0])
+    seen = stated * math.exp(step)
+    angle, angle_seen = (math.degrees(2.0 * math.atan(0.5 * width / focal)) for focal in (stated, seen))
+    message = (
+        f"the images agree best with focal lengths near {seen:.4g} px (+- {100.0 * sigma:.2g} %), {angle_seen:.0f} "
+        f"degrees from side to side, but {stated:.4g} px are stated, {angle:.0f} degrees; "
+    )
+    if abs(step) > GROSS:
+        message += "nothing else that was stated can be judged with these; "
+    return [Finding(WarningCode.INTRINSICS_CONTRADICT, f"{message}calibrate the camera in air, or refine them")]
+
+
+def _water(scene: Scene) -> list[Finding]:
+    """What was given of the water."""
     wished, found = scene.assessment.wished, []
     step, sigma = wished.get("index_ratio", (0.0, 0.0))
     wet = float((scene.points[scene.placed, 2] < 0.0).double().mean()) if len(scene.points) else 1.0
@@ -157,14 +175,6 @@ def _given(scene: Scene) -> list[Finding]:
                 f"{scene.index_ratio:.4g} is stated; refine it, or check intrinsics and gravity"
             )
             found.append(Finding(WarningCode.INDEX_CONTRADICTS, message))
-    step, sigma = wished.get("focal", (0.0, 1.0))
-    if abs(step) > max(SURE * sigma, NOTABLE_FOCAL):
-        message = (
-            f"the images agree best with focal lengths that are {100.0 * abs(step):.1f} % "
-            f"{'longer' if step > 0.0 else 'shorter'} (+- {100.0 * sigma:.2g} %) than stated; calibrate the camera in "
-            "air, or refine them"
-        )
-        found.append(Finding(WarningCode.INTRINSICS_CONTRADICT, message))
     return found
 
 

@@ -30,7 +30,7 @@ class Assessment:
     center_covariance: of the centres in world axes, length_unit squared. index_ratio_sigma: None where it was given.
     determined: sentences about water, intrinsics and scale; fixed: what was to be refined, but is not determined, and
     why. wished: by how much "index_ratio" and the logarithm of the "focal" length, which were given, would change if
-    the images had a say, and the standard deviations of these changes.
+    the images had a say, and the standard deviations of these changes; of a grossly wrong focal length, that alone.
     """
 
     pixel_sigma: float | None = None

@@ -13,7 +13,7 @@ from torchrefrac.scene import Capture, Part, Scene
 from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess_scene
 from torchrefrac.sfm.filter_points import affordable_length, filter_points
 from torchrefrac.sfm.frame import fix_frame
-from torchrefrac.sfm.gravity import contradicted_gravity
+from torchrefrac.sfm.gravity import worst_gravity
 from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.pose import PoseInitializer
 from torchrefrac.sfm.register import MIN_INITIAL_POINTS, rank_initial_pairs, register, start, visible_points
@@ -135,7 +135,7 @@ class _Growth:
         rules = replace(self.rules, min_track_length=length)
         scene = self._converged(scene, rules)
         for _ in range(self.options.final_rounds if scene.index_ratio > 1.0 else 0):
-            wrong = contradicted_gravity(scene, self.capture.down_in_cam, self.down_sigma)
+            wrong = worst_gravity(scene, self.capture.down_in_cam, self.down_sigma)
             if not bool(wrong.any()):
                 break
             unknown = wrong | self.down_sigma.isinf()
