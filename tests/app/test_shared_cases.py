@@ -67,6 +67,14 @@ def test_near_nadir_without_gravity_the_vertical_is_right_to_what_is_said_of_it(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("air", ["water=air", "model=none", "model=radial"])
+def test_water_is_named_where_it_is_not_modelled(torchrefrac, part_of_tank, metrics, tmp_path, air):
+    assert _run(torchrefrac, part_of_tank(range(5)), air).status == 0
+
+    assert [warning["code"] for warning in metrics(tmp_path / "run")["warnings"]] == ["refraction_unmodelled"]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [10.0, 3.0, 0.3])
 def test_grossly_wrong_focal_lengths_are_what_is_named(torchrefrac, part_of_tank, metrics, tmp_path, factor):
     folder = part_of_tank(range(5))

@@ -28,6 +28,8 @@ MOSTLY_DRY, VAGUE = 0.5, 0.2
 water was put where it does nothing."""
 VAGUE_DEG = 1.5
 """Error of verticals that nobody measured beyond which heights are not to be trusted."""
+UNDER_WATER = 0.5
+"""Typical error under water, as a share of that in air, below which there is water."""
 AIR = 1.02
 """An index ratio below which there is no water."""
 
@@ -37,7 +39,7 @@ def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     went in, the same views in the same order."""
     about_images = (*_duplicates(stated), *_weak_images(scene))
     if scene.index_ratio <= 1.0:
-        return about_images
+        return (*_unmodelled(scene), *about_images)
     intrinsics = _intrinsics(scene)
     if intrinsics and abs(scene.assessment.wished["focal"][0]) > GROSS:
         return (*intrinsics, *about_images)
@@ -151,6 +153,19 @@ def _intrinsics(scene: Scene) -> list[Finding]:
     if abs(step) > GROSS:
         message += "nothing else that was stated can be judged with these; "
     return [Finding(WarningCode.INTRINSICS_CONTRADICT, f"{message}calibrate the camera in air, or refine them")]
+
+
+def _unmodelled(scene: Scene) -> list[Finding]:
+    """Water that the model knows nothing of."""
+    air, water = scene.assessment.in_air_and_water or (0.0, 0.0)
+    if water >= UNDER_WATER * air:
+        return []
+    message = (
+        f"the images show water, but were reconstructed without refraction: under a water surface their typical error "
+        f"falls from {air:.2g} to {water:.2g} px; cameras, depths and shapes are wrong: use model=refractive, with the "
+        "index ratio of the water"
+    )
+    return [Finding(WarningCode.REFRACTION_UNMODELLED, message)]
 
 
 def _water(scene: Scene) -> list[Finding]:

@@ -16,6 +16,7 @@ class WarningCode(StrEnum):
     INDEX_CONTRADICTS = "index_contradicts"
     DUPLICATE_IMAGE = "duplicate_image"
     NO_REFRACTION_SEEN = "no_refraction_seen"
+    REFRACTION_UNMODELLED = "refraction_unmodelled"
 
 
 @dataclass(frozen=True)

@@ -45,13 +45,13 @@ def better_focal(
     features: Sequence[Features],
     options: SfmOptions,
 ) -> tuple[float, float] | None:
-    """Logarithm of the factor by which focal lengths would have to change for matches to agree with the gravity that was
-    `stated`, and its standard deviation.
+    """Logarithm of the factor by which focal lengths would have to change for matches to agree with the gravity that
+    was `stated`, and its standard deviation.
 
     None where gravity agrees with the reconstruction `scene` of the same photographs, no factor explains the matches
     twice as well as that does, or the change is less than GROSS, which shows in the reconstruction.
     """
-    if not stated.has_gravity or scene.index_ratio <= 1.0 or not _contradicted(scene, stated):
+    if not stated.has_gravity or not _contradicted(scene, stated):
         return None
     best = sorted((pair for pair in matches if len(pair) >= options.min_pair_inliers), key=len, reverse=True)
     tried = [_Pair.of(scene, stated, pair, features, options) for pair in best[:PAIRS]]
