@@ -43,7 +43,8 @@ def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     intrinsics = _intrinsics(scene)
     if intrinsics and abs(scene.assessment.wished["focal"][0]) > GROSS:
         return (*intrinsics, *about_images)
-    return (*intrinsics, *_water(scene), *_gravity(scene, stated), *_heights(scene, stated), *about_images)
+    given = (*_levels(scene), *intrinsics, *_water(scene), *_gravity(scene, stated), *_heights(scene, stated))
+    return (*given, *about_images)
 
 
 def _duplicates(stated: Capture) -> list[Finding]:
@@ -113,6 +114,21 @@ def _heights(scene: Scene, stated: Capture) -> list[Finding]:
         f"the height of {_listed(names)} does not fit those of the others ({shown}); it was not used for the scale"
     )
     return [Finding(WarningCode.HEIGHT_CONTRADICTS, message, names)]
+
+
+def _levels(scene: Scene) -> list[Finding]:
+    """Photographs of two days."""
+    levels, unit = scene.assessment.levels, scene.length_unit
+    if levels is None:
+        return []
+    names = _names(scene, levels != 0.0)
+    higher, others = float(levels[levels != 0.0].mean()), scene.views.num_registered - len(names)
+    message = (
+        f"the water stood {abs(higher):.3g} {unit} {'higher' if higher > 0.0 else 'lower'} when {_listed(names)} were "
+        f"taken than for the other {others} images, but one level was taken for all, so that cameras and points are "
+        "wrong: reconstruct the two groups apart"
+    )
+    return [Finding(WarningCode.WATER_LEVEL_CONTRADICTS, message, names)]
 
 
 def _weak_images(scene: Scene) -> list[Finding]:

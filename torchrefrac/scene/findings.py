@@ -15,6 +15,7 @@ class WarningCode(StrEnum):
     INTRINSICS_CONTRADICT = "intrinsics_contradict"
     INDEX_CONTRADICTS = "index_contradicts"
     DUPLICATE_IMAGE = "duplicate_image"
+    WATER_LEVEL_CONTRADICTS = "water_level_contradicts"
     NO_REFRACTION_SEEN = "no_refraction_seen"
     REFRACTION_UNMODELLED = "refraction_unmodelled"
 

@@ -31,6 +31,8 @@ class Assessment:
     determined: sentences about water, intrinsics and scale; fixed: what was to be refined, but is not determined, and
     why. wished: by how much "index_ratio" and the logarithm of the "focal" length, which were given, would change if
     the images had a say, and the standard deviations of these changes; of a grossly wrong focal length, that alone.
+    levels: by how much the water stands higher for some views than for the others, for which it is 0; None where one
+    level does for all.
     in_air_and_water: of a scene without refraction, what its typical reprojection error is and would be under water.
     """
 
@@ -42,6 +44,7 @@ class Assessment:
     determined: tuple[str, ...] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)
     wished: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    levels: Float[Tensor, " m"] | None = None
     in_air_and_water: tuple[float, float] | None = None
 
 

@@ -14,6 +14,7 @@ from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess_scene
 from torchrefrac.sfm.filter_points import affordable_length, filter_points
 from torchrefrac.sfm.frame import fix_frame
 from torchrefrac.sfm.gravity import worst_gravity
+from torchrefrac.sfm.levels import with_levels
 from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.pose import PoseInitializer
 from torchrefrac.sfm.register import MIN_INITIAL_POINTS, rank_initial_pairs, register, start, visible_points
@@ -60,6 +61,7 @@ def reconstruct_sparse(
         scene = fix_frame(scene, capture)
         growth.show(scene)
         assessment = assess_scene(scene, growth.rules, growth.fixed)
+        assessment = with_levels(assessment, scene, growth.rules, growth.fixed)
         advance(1, "")
     return replace(scene, failures=growth.failures, assessment=assessment).trimmed()
 
