@@ -37,14 +37,25 @@ AIR = 1.02
 def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     """All of them, those first that others may follow from. `scene`: what came out, with its assessment; `stated`: what
     went in, the same views in the same order."""
-    about_images = (*_duplicates(stated), *_weak_images(scene))
+    given = about_given(scene)
+    if scene.index_ratio > 1.0 and abs(scene.assessment.wished.get("focal", (0.0, 0.0))[0]) <= GROSS:
+        given = (*given, *_gravity(scene, stated), *_heights(scene, stated))
+    return (*given, *_duplicates(stated), *about_images(scene))
+
+
+def about_given(scene: Scene) -> tuple[Finding, ...]:
+    """What the images say of the water and the lens. Where the latter is grossly wrong nothing else can be judged."""
     if scene.index_ratio <= 1.0:
-        return (*_unmodelled(scene), *about_images)
+        return tuple(_unmodelled(scene))
     intrinsics = _intrinsics(scene)
     if intrinsics and abs(scene.assessment.wished["focal"][0]) > GROSS:
-        return (*intrinsics, *about_images)
-    given = (*_levels(scene), *intrinsics, *_water(scene), *_gravity(scene, stated), *_heights(scene, stated))
-    return (*given, *about_images)
+        return tuple(intrinsics)
+    return (*_levels(scene), *intrinsics, *_water(scene))
+
+
+def about_images(scene: Scene) -> tuple[Finding, ...]:
+    """How well the images, and the adjustment of all, came out."""
+    return (*_weak_images(scene), *_not_converged(scene))
 
 
 def _duplicates(stated: Capture) -> list[Finding]:
@@ -57,7 +68,7 @@ def _duplicates(stated: Capture) -> list[Finding]:
     return [
         Finding(
             WarningCode.DUPLICATE_IMAGE,
-            f"{_listed(tuple(names))} are the same photograph: more copies add nothing, and make it look more certain",
+            f"{listed(tuple(names))} are the same photograph: more copies add nothing, and make it look more certain",
             tuple(names),
         )
         for names in groups.values()
@@ -76,14 +87,14 @@ def _gravity(scene: Scene, stated: Capture) -> list[Finding]:
         )
         return [Finding(WarningCode.GRAVITY_UNDETERMINED, message)]
     wrong = contradicted_gravity(scene, stated.down_in_cam, stated.down_sigma)
-    names = _names(scene, wrong)
+    names = named(scene.views.names, wrong)
     if not names:
         return []
     degrees = angle_between(-scene.views.rotation[wrong][:, :, 2], stated.down_in_cam[wrong]).rad2deg()
     off = f"{float(degrees.median()):.1f} degrees (median)" if len(names) > 1 else f"{float(degrees[0]):.1f} degrees"
     known = float(torch.rad2deg(stated.down_sigma)[wrong].median())
     message = (
-        f"down_in_cam of {_listed(names)} is {off} from the vertical that the images show, but is stated to be known "
+        f"down_in_cam of {listed(names)} is {off} from the vertical that the images show, but is stated to be known "
         f"to {known:.2g} degrees; it was not used: check its signs and axes (x right, y down, z forward)"
     )
     return [Finding(WarningCode.GRAVITY_CONTRADICTS, message, names)]
@@ -103,16 +114,14 @@ def _heights(scene: Scene, stated: Capture) -> list[Finding]:
         return [Finding(WarningCode.HEIGHT_CONTRADICTS, message)]
     wrong = measured.clone()
     wrong[measured] = ~fit.agrees
-    names = _names(scene, wrong)
+    names = named(scene.views.names, wrong)
     if not names:
         return []
     told = zip(names, stated.height[wrong].tolist(), scene.views.center[wrong, 2].tolist(), strict=True)
     shown = ", ".join(
         f"{name}: {there:.4g} {unit} stated, {here:.4g} {unit} found" for name, there, here in [*told][:3]
     )
-    message = (
-        f"the height of {_listed(names)} does not fit those of the others ({shown}); it was not used for the scale"
-    )
+    message = f"the height of {listed(names)} does not fit those of the others ({shown}); it was not used for the scale"
     return [Finding(WarningCode.HEIGHT_CONTRADICTS, message, names)]
 
 
@@ -121,10 +130,10 @@ def _levels(scene: Scene) -> list[Finding]:
     levels, unit = scene.assessment.levels, scene.length_unit
     if levels is None:
         return []
-    names = _names(scene, levels != 0.0)
+    names = named(scene.views.names, levels != 0.0)
     higher, others = float(levels[levels != 0.0].mean()), scene.views.num_registered - len(names)
     message = (
-        f"the water stood {abs(higher):.3g} {unit} {'higher' if higher > 0.0 else 'lower'} when {_listed(names)} were "
+        f"the water stood {abs(higher):.3g} {unit} {'higher' if higher > 0.0 else 'lower'} when {listed(names)} were "
         f"taken than for the other {others} images, but one level was taken for all, so that cameras and points are "
         "wrong: reconstruct the two groups apart"
     )
@@ -171,6 +180,17 @@ def _intrinsics(scene: Scene) -> list[Finding]:
     return [Finding(WarningCode.INTRINSICS_CONTRADICT, f"{message}calibrate the camera in air, or refine them")]
 
 
+def _not_converged(scene: Scene) -> list[Finding]:
+    after = scene.assessment.stopped_after
+    if after is None:
+        return []
+    message = (
+        f"the last adjustment stopped after {after} iterations, before it converged: raise max_iterations of its "
+        "solver, or look for images or points that do not fit"
+    )
+    return [Finding(WarningCode.NOT_CONVERGED, message)]
+
+
 def _unmodelled(scene: Scene) -> list[Finding]:
     """Water that the model knows nothing of."""
     air, water = scene.assessment.in_air_and_water or (0.0, 0.0)
@@ -209,10 +229,11 @@ def _water(scene: Scene) -> list[Finding]:
     return found
 
 
-def _names(scene: Scene, which: Bool[Tensor, " m"]) -> tuple[str, ...]:
-    return tuple(scene.views.names[i] for i in which.nonzero()[:, 0].tolist())
+def named(names: tuple[str, ...], which: Bool[Tensor, " k"]) -> tuple[str, ...]:
+    """Those of the names that a mask picks."""
+    return tuple(names[i] for i in which.nonzero()[:, 0].tolist())
 
 
-def _listed(names: tuple[str, ...]) -> str:
+def listed(names: tuple[str, ...]) -> str:
     """All of a few names, or the first ones and how many more."""
     return ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} and {len(names) - 3} more images"

@@ -33,6 +33,7 @@ class Assessment:
     the images had a say, and the standard deviations of these changes; of a grossly wrong focal length, that alone.
     levels: by how much the water stands higher for some views than for the others, for which it is 0; None where one
     level does for all.
+    stopped_after: iterations of the last adjustment, where it stopped before it converged.
     in_air_and_water: of a scene without refraction, what its typical reprojection error is and would be under water.
     """
 
@@ -45,6 +46,7 @@ class Assessment:
     fixed: Mapping[str, str] = field(default_factory=dict)
     wished: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     levels: Float[Tensor, " m"] | None = None
+    stopped_after: int | None = None
     in_air_and_water: tuple[float, float] | None = None
 
 

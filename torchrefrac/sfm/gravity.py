@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float
+from scipy.special import chdtri
 from torch import Tensor
 
 from torchrefrac.features import Features, PairMatches
@@ -38,10 +39,10 @@ CHANCE = 0.0027
 """With which any of several right measurements is called wrong: that of three standard deviations."""
 
 
-def unlikely(count: int) -> float:
-    """Angle between true and measured gravity, in standard deviations of a component, that the largest of `count`
-    right ones exceeds with the probability CHANCE."""
-    return math.sqrt(2.0 * math.log(max(count, 1) / CHANCE))
+def unlikely(count: int, components: int = 2) -> float:
+    """Length of an error, in standard deviations of each of its components, that the largest of `count` exceeds with
+    the probability CHANCE; those of verticals have two. From the chi-squared distribution."""
+    return math.sqrt(float(chdtri(components, CHANCE / max(count, 1))))
 
 
 def contradicted_gravity(

@@ -63,6 +63,7 @@ def reconstruct_sparse(
         assessment = assess_scene(scene, growth.rules, growth.fixed)
         assessment = with_levels(assessment, scene, growth.rules, growth.fixed)
         advance(1, "")
+    assessment = replace(assessment, stopped_after=growth.stopped_after)
     return replace(scene, failures=growth.failures, assessment=assessment).trimmed()
 
 
@@ -74,6 +75,7 @@ class _Growth:
         self.down_sigma = capture.down_sigma  # infinite where gravity turns out to be wrong
         self.failures: dict[str, str] = {}
         self.fixed: dict[str, str] = {}
+        self.stopped_after: int | None = None
         self._refused: dict[int, int] = {}  # views that could not be registered, and the points they saw then
         self.journal = Journal(recorder)
 
@@ -169,7 +171,7 @@ class _Growth:
     def _record(self, scene: Scene, outcome: Outcome) -> None:
         """What an adjustment of everything has led to."""
         if outcome.report is not None:
-            self.fixed = outcome.report.fixed
+            self.fixed, self.stopped_after = outcome.report.fixed, outcome.report.stopped_after
             self.recorder.detail(f"adjusted {scene.views.num_registered} images: {outcome.report.summary()}")
         self.show(scene, MOST_SHOWN)
 
