@@ -40,7 +40,7 @@ def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     given = about_given(scene)
     if scene.index_ratio > 1.0 and abs(scene.assessment.wished.get("focal", (0.0, 0.0))[0]) <= GROSS:
         given = (*given, *_gravity(scene, stated), *_heights(scene, stated))
-    return (*given, *_duplicates(stated), *about_images(scene))
+    return (*given, *_damaged(stated), *_duplicates(stated), *about_images(scene))
 
 
 def about_given(scene: Scene) -> tuple[Finding, ...]:
@@ -56,6 +56,14 @@ def about_given(scene: Scene) -> tuple[Finding, ...]:
 def about_images(scene: Scene) -> tuple[Finding, ...]:
     """How well the images, and the adjustment of all, came out."""
     return (*_weak_images(scene), *_not_converged(scene))
+
+
+def _damaged(stated: Capture) -> list[Finding]:
+    names = tuple(stated.damaged)
+    if not names:
+        return []
+    message = f"{listed(names)} could not be read and was left out: {stated.damaged[names[0]]}"
+    return [Finding(WarningCode.DAMAGED_IMAGE, message, names)]
 
 
 def _duplicates(stated: Capture) -> list[Finding]:

@@ -17,6 +17,7 @@ class WarningCode(StrEnum):
     WEAK_IMAGE = "weak_image"
     INTRINSICS_CONTRADICT = "intrinsics_contradict"
     INDEX_CONTRADICTS = "index_contradicts"
+    DAMAGED_IMAGE = "damaged_image"
     DUPLICATE_IMAGE = "duplicate_image"
     WATER_LEVEL_CONTRADICTS = "water_level_contradicts"
     NO_REFRACTION_SEEN = "no_refraction_seen"
