@@ -18,6 +18,7 @@ from torchrefrac.scene.interfaces import INDEX_RATIO_RANGE, MAX_INDEX_RATIO
 FORMAT = "torchrefrac-capture/1"
 PIXEL_SHIFT = {"center": 0.5, "corner": 0.0}
 UNIT_TOLERANCE = 1e-3
+LONGEST_FOCAL = 1e9  # pixels, beyond any telescope
 OPTICAL_AXIS = [0.0, 0.0, 1.0]
 
 
@@ -25,9 +26,10 @@ def load_capture(folder: str | Path) -> Capture:
     """Read `folder`/capture.json; the images lie in `folder`/images.
 
     Images that are damaged or cannot be read are left out and listed in `damaged`, where two or more others are left.
-    Raises CaptureError with one sentence for anything else that cannot be right: a missing image, one of another size, a mask that fits no image or has another size, a missing or mistyped field, gravity or
-    headings of some images only, gravity that is no unit vector, a camera that looks at the sky, an index ratio below 1
-    or beyond any liquid, fewer than two images, a name given twice.
+    Raises CaptureError with one sentence for anything else that cannot be right: a missing image, one of another size,
+    a mask that fits no image or has another size, a missing or mistyped field, gravity or headings of some images only,
+    gravity that is no unit vector, a camera that looks at the sky, an index ratio below 1 or beyond any liquid, fewer
+    than two images, a name given twice.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -86,6 +88,9 @@ def read_intrinsics(fields: Fields, distortion: Sequence[float], shift: float = 
     for name, value in zip(("width", "height", "fx", "fy"), (width, height, *focal), strict=True):
         if value <= 0:
             raise fields.fail(name, f"is {value:g}, but must be above 0")
+    for name, value in zip(("fx", "fy"), focal, strict=True):
+        if value > LONGEST_FOCAL:
+            raise fields.fail(name, f"is {value:g}, but must be at most {LONGEST_FOCAL:g} pixels")
     return Intrinsics.create(width, height, focal, (cx + shift, cy + shift), distortion)
 
 
