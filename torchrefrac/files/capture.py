@@ -18,7 +18,7 @@ from torchrefrac.scene.interfaces import INDEX_RATIO_RANGE, MAX_INDEX_RATIO
 FORMAT = "torchrefrac-capture/1"
 PIXEL_SHIFT = {"center": 0.5, "corner": 0.0}
 UNIT_TOLERANCE = 1e-3
-LONGEST_FOCAL = 1e9  # pixels, beyond any telescope
+SHORTEST_FOCAL, LONGEST_FOCAL = 1e-3, 1e9  # pixels, beyond any lens
 OPTICAL_AXIS = [0.0, 0.0, 1.0]
 
 
@@ -89,8 +89,8 @@ def read_intrinsics(fields: Fields, distortion: Sequence[float], shift: float = 
         if value <= 0:
             raise fields.fail(name, f"is {value:g}, but must be above 0")
     for name, value in zip(("fx", "fy"), focal, strict=True):
-        if value > LONGEST_FOCAL:
-            raise fields.fail(name, f"is {value:g}, but must be at most {LONGEST_FOCAL:g} pixels")
+        if not SHORTEST_FOCAL <= value <= LONGEST_FOCAL:
+            raise fields.fail(name, f"is {value:g}, but must be {SHORTEST_FOCAL:g} to {LONGEST_FOCAL:g} pixels")
     return Intrinsics.create(width, height, focal, (cx + shift, cy + shift), distortion)
 
 
