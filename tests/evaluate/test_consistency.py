@@ -95,3 +95,10 @@ def test_water_that_was_put_where_it_does_nothing_was_not_seen(survey):
 def test_what_the_images_wish_of_water_and_lens(survey, wished, codes):
     scene = replace(survey.scene(with_points=True), assessment=Assessment(wished=wished))
     assert _codes(scene, survey.capture) == codes
+
+
+def test_no_focal_length_is_named_where_the_images_do_not_show_one(survey):
+    assessment = Assessment(wished={"focal": (-10.6, 0.6)})
+    (found,) = contradictions(replace(survey.scene(with_points=True), assessment=assessment), survey.capture)
+    assert found.code == "intrinsics_contradict"
+    assert "that are far shorter, but 667 px are stated, 75 degrees" in found.message

@@ -22,7 +22,7 @@ FEW, WORSE = 0.5, 4.0
 """Share of the observations of the typical view, and times its error: a view with fewer, larger ones is weak."""
 SURE = 5.0
 """Standard deviations of a wished change, which noise that is correlated makes look too small."""
-NOTABLE_INDEX, NOTABLE_FOCAL = 0.01, 0.02
+NOTABLE_INDEX, NOTABLE_FOCAL, VAGUE_FOCAL = 0.01, 0.02, 0.2
 MOSTLY_DRY, VAGUE = 0.5, 0.2
 """Share of the points under water, and error of the index ratio in units of what it is above 1, of a scene in which the
 water was put where it does nothing."""
@@ -179,10 +179,12 @@ def _intrinsics(scene: Scene) -> list[Finding]:
     width, stated = scene.cameras[0].width, float(scene.cameras.focal[0, 0])
     seen = stated * math.exp(step)
     angle, angle_seen = (math.degrees(2.0 * math.atan(0.5 * width / focal)) for focal in (stated, seen))
-    message = (
-        f"the images agree best with focal lengths near {seen:.4g} px (+- {100.0 * sigma:.2g} %), {angle_seen:.0f} "
-        f"degrees from side to side, but {stated:.4g} px are stated, {angle:.0f} degrees; "
-    )
+    message = "the images agree best with focal lengths "
+    if sigma < VAGUE_FOCAL:
+        message += f"near {seen:.4g} px (+- {100.0 * sigma:.2g} %), {angle_seen:.0f} degrees from side to side, "
+    else:
+        message += f"that are far {'longer' if step > 0.0 else 'shorter'}, "
+    message += f"but {stated:.4g} px are stated, {angle:.0f} degrees; "
     if abs(step) > GROSS:
         message += "nothing else that was stated can be judged with these; "
     return [Finding(WarningCode.INTRINSICS_CONTRADICT, f"{message}calibrate the camera in air, or refine them")]
