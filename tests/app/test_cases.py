@@ -3,6 +3,8 @@
 The photographs are five of the embedded scene, whose 800 strongest keypoints give their cameras to 0.1 cm.
 """
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -56,12 +58,14 @@ def test_a_capture_that_a_windows_editor_saved_is_read(shared_case, tmp_path, pa
     assert len(tr.load_capture(folder)) == 8
 
 
-def test_points_in_coordinates_of_a_map_keep_their_digits(shared_case, tmp_path):
+@pytest.mark.parametrize(("level", "within"), [(101.35, 0.0335), ("find", 0.06)])
+def test_points_in_coordinates_of_a_map_keep_their_digits(shared_case, tmp_path, level, within):
+    """The water stands at 101.35 m, where the true points fit the pixels; these pixels show that to 0.4 m only."""
     folder = shared_case("03-utm-points-ply")
-    plane = PlaneOptions(offset="find")
+    plane = PlaneOptions(offset=level)
     options = AdjustOptions(alignment=str(folder), out="run", survey=str(folder / "survey.json"), plane=plane)
 
-    adjust_run(options, SilentRecorder(), tmp_path / "run")
+    assert adjust_run(options, SilentRecorder(), tmp_path / "run")["warnings"] == []
 
     points, _ = load_points(tmp_path / "run" / "points.ply")
     truth = torch.from_numpy(np.loadtxt(folder / "truth_points.csv", delimiter=","))[:, 1:]
@@ -69,7 +73,22 @@ def test_points_in_coordinates_of_a_map_keep_their_digits(shared_case, tmp_path)
     error = torch.cdist(points - truth[0], truth - truth[0]).amin(dim=1)
     assert float((points - model).abs().max()) < 1e-6
     assert len(points[:, 1].unique()) == len(points) == 250
-    assert float(error.square().mean().sqrt()) < 0.06
+    assert float(error.square().mean().sqrt()) < within
+
+
+def test_a_stated_position_that_is_wrong_is_named_and_does_no_harm(shared_case, tmp_path):
+    folder = shared_case("03-utm-points-ply")
+    survey = json.loads((folder / "survey.json").read_text())
+    survey["images"]["DJI_0003.JPG"]["center"][0] += 3.0
+    (tmp_path / "survey.json").write_text(json.dumps(survey))
+    plane = PlaneOptions(offset=101.35)
+    options = AdjustOptions(alignment=str(folder), out="run", survey=str(tmp_path / "survey.json"), plane=plane)
+
+    metrics = adjust_run(options, SilentRecorder(), tmp_path / "run")
+
+    (warning,) = metrics["warnings"]
+    assert (warning["code"], warning["images"]) == ("position_contradicts", ["DJI_0003.JPG"])
+    assert metrics["camera_shift_max_unit"] < 0.3
 
 
 def _require_right(capture, truth, within=0.15):

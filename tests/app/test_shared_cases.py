@@ -64,3 +64,27 @@ def test_near_nadir_without_gravity_the_vertical_is_right_to_what_is_said_of_it(
     assert [warning["code"] for warning in found["warnings"]] == ["gravity_undetermined"]
     assert found["camera_rotation_rms_deg"] < found["gravity_sigma_deg"]
     assert found["camera_rms_m"] < 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("air", ["water=air", "model=none", "model=radial"])
+def test_water_is_named_where_it_is_not_modelled(torchrefrac, part_of_tank, metrics, tmp_path, air):
+    assert _run(torchrefrac, part_of_tank(range(5)), air).status == 0
+
+    assert [warning["code"] for warning in metrics(tmp_path / "run")["warnings"]] == ["refraction_unmodelled"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [10.0, 3.0, 0.3])
+def test_grossly_wrong_focal_lengths_are_what_is_named(torchrefrac, part_of_tank, metrics, tmp_path, factor):
+    folder = part_of_tank(range(5))
+    content = json.loads((folder / "capture.json").read_text())
+    for name in ("fx", "fy"):
+        content["intrinsics"][name] *= factor
+    (folder / "capture.json").write_text(json.dumps(content))
+
+    assert _run(torchrefrac, folder).status == 0
+
+    (warning,) = metrics(tmp_path / "run")["warnings"]
+    assert warning["code"] == "intrinsics_contradict"
+    assert float(warning["message"].split("near ")[1].split()[0]) == pytest.approx(417.0, rel=0.1)

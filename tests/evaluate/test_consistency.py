@@ -60,6 +60,13 @@ def test_copies_of_a_photograph_are_told(survey, tmp_path):
     assert (found.code, found.images) == ("duplicate_image", ("0.jpg", "2.jpg", "5.jpg"))
 
 
+def test_photographs_that_could_not_be_read_are_told(survey):
+    capture = replace(survey.capture, damaged={"9.jpg": "9.jpg is damaged: it ends before its image does"})
+    (found,) = contradictions(survey.scene(with_points=True), capture)
+    assert (found.code, found.images) == ("damaged_image", ("9.jpg",))
+    assert "it ends before its image does" in found.message
+
+
 @pytest.mark.parametrize(("sigma_deg", "codes"), [(0.8, []), (2.5, ["gravity_undetermined"])])
 def test_gravity_that_nobody_stated_and_images_show_badly_is_told(survey, sigma_deg, codes):
     found = torch.full_like(survey.capture.height, sigma_deg).deg2rad()
@@ -121,3 +128,10 @@ def test_an_extent_that_the_images_contradict_is_named(survey, disputed, words):
     (found,) = contradictions(scene, stated)
     assert found.code == "points_outside_water"
     assert words in found.message
+
+
+def test_no_focal_length_is_named_where_the_images_do_not_show_one(survey):
+    assessment = Assessment(wished={"focal": (-10.6, 0.6)})
+    (found,) = contradictions(replace(survey.scene(with_points=True), assessment=assessment), survey.capture)
+    assert found.code == "intrinsics_contradict"
+    assert "that are far shorter, but 667 px are stated, 75 degrees" in found.message

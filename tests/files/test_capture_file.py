@@ -134,6 +134,13 @@ def test_json_that_is_no_object_is_refused(write_capture):
         load_capture(folder)
 
 
+@pytest.mark.parametrize("focal", [1e-308, 1e308])
+def test_a_focal_length_of_no_lens_is_refused(write_capture, focal):
+    folder = write_capture(lambda c: c["intrinsics"].update(fy=focal))
+    with pytest.raises(CaptureError, match=r"intrinsics.fy is .* but must be 0.001 to 1e\+09 pixels"):
+        load_capture(folder)
+
+
 def test_a_truncated_image_is_refused(write_capture):
     folder = write_capture()
     (folder / "images" / "b.png").write_bytes(b"not an image")

@@ -132,6 +132,21 @@ def test_a_file_that_ends_too_early_is_named(write_capture, picture, name, share
         load_capture(folder)
 
 
+@pytest.mark.parametrize("content", [b"", b"\xff\xd8\xff\xe0 and no more", b"not an image"])
+def test_one_that_is_not_whole_among_others_is_left_out(write_capture, picture, content):
+    folder = write_capture(lambda c: c["images"].append({**c["images"][1], "name": "c.png", "height": 7.0}))
+    (folder / "images" / "c.png").write_bytes((folder / "images" / "b.png").read_bytes())
+    (folder / "images" / "b.png").write_bytes(content)
+
+    capture = load_capture(folder)
+
+    assert capture.names == ("a.png", "c.png")
+    assert float(capture.height[1]) == 7.0
+    assert len(capture.down_in_cam) == len(capture.camera) == 2
+    assert list(capture.damaged) == ["b.png"]
+    assert "b.png" in capture.damaged["b.png"]
+
+
 def test_something_else_in_the_middle_of_a_jpeg_is_named(write, picture):
     path = write("a.jpg", picture)
     content = path.read_bytes()

@@ -7,6 +7,7 @@ import torch
 
 from tests.planted_reconstructions import plant_reconstruction
 from torchrefrac.bundle import BundleOptions, UnadjustableError
+from torchrefrac.evaluate.survey_consistency import survey_contradictions
 from torchrefrac.recorder import SilentRecorder
 from torchrefrac.scene import Scene, Survey, SurveyError
 from torchrefrac.scene.survey import ControlPoint, ScaleBar, SurveyedImage, resolve
@@ -279,6 +280,78 @@ def test_a_control_point_that_does_not_fit_is_named(plant, draw):
 
     assert found.lost_control == ("bad",)
     assert float(planted.off(found.scene).max()) < 1e-2
+
+
+def _warnings(found):
+    return survey_contradictions(found.scene, found.survey, found.outcome.survey)
+
+
+def _measured_centers(planted, wrong):
+    """All centres to 0.05, those of `wrong` shifted."""
+    information = (400.0 * torch.eye(3, dtype=torch.float64)).tolist()
+    centers = planted.truth.views.center.clone()
+    for image, shift in wrong.items():
+        centers[image] += torch.tensor(shift, dtype=torch.float64)
+    names = planted.truth.views.names
+    return {name: SurveyedImage(center=(at, information)) for name, at in zip(names, centers.tolist(), strict=True)}
+
+
+@pytest.mark.parametrize("wrong", [{}, {2: (5.0, -3.0, 1.0)}, {5: (0.0, 0.0, 0.5)}])
+def test_a_position_that_all_others_contradict_is_named_and_not_used(plant, draw, wrong):
+    planted = plant(noise=0.05)
+    given = planted.as_of_a_pinhole(draw)
+    survey = resolve(_measured_centers(planted, wrong), {}, [], given.views.names)
+
+    found = adjust(given, survey, options())
+
+    findings = _warnings(found)
+    names = [tuple(given.views.names[image] for image in wrong)] if wrong else []
+    assert [finding.images for finding in findings] == names
+    assert {str(finding.code) for finding in findings} <= {"position_contradicts"}
+    assert all("contradict was not used" in finding.message for finding in findings)
+    torch.testing.assert_close(found.scene.views.center, planted.truth.views.center, rtol=0.0, atol=0.1)
+
+
+def test_where_most_positions_are_wrong_all_are_named_and_used(plant, draw):
+    planted = plant(noise=0.05)
+    given = planted.as_of_a_pinhole(draw)
+    wrong = {image: (3.0 * (-1) ** image, 2.0 * (image % 3), 1.0) for image in range(6)}
+    survey = resolve(_measured_centers(planted, wrong), {}, [], given.views.names)
+
+    (finding,) = _warnings(adjust(given, survey, options()))
+
+    assert finding.code == "position_contradicts"
+    assert len(finding.images) > 3
+    assert "was used" in finding.message
+
+
+@pytest.mark.parametrize("shift", [0.2, 20.0])
+def test_ground_control_that_the_rest_contradicts_is_named_and_not_used(plant, draw, shift):
+    planted = plant(noise=0.05)
+    at = planted.truth.points[:5].clone()
+    at[3, 0] += shift
+    known = {f"m{i}": _control(planted, i, known=(at[i].tolist(), SMALL)) for i in range(5)}
+    given = planted.as_of_a_pinhole(draw)
+    survey = resolve({}, known, [], given.views.names)
+
+    found = adjust(given, survey, options())
+
+    (finding,) = _warnings(found)
+    assert finding.code == "control_contradicts"
+    assert "m3: " in finding.message
+    torch.testing.assert_close(found.scene.views.center, planted.truth.views.center, rtol=0.0, atol=0.1)
+
+
+def test_an_adjustment_that_stops_early_says_so(plant, draw):
+    planted = plant(noise=0.05)
+    given = planted.as_of_a_pinhole(draw)
+    bundle = replace(options().bundle, solver=replace(options().bundle.solver, max_iterations=1))
+
+    found = adjust(given, None, replace(options(), bundle=bundle))
+
+    codes = [str(finding.code) for finding in _warnings(found)]
+    assert codes[-1] == "not_converged"
+    assert found.scene.assessment.stopped_after == 1
 
 
 def test_the_water_level_is_found_between_points_and_cameras(plant, draw):

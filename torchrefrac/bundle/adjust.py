@@ -31,6 +31,11 @@ class BundleReport:
     problem: BundleProblem
     fixed: dict[str, str] = field(default_factory=dict)
 
+    @property
+    def stopped_after(self) -> int | None:
+        """The iterations at whose limit the search ended; None where it found a minimum."""
+        return self.iterations if self.status == "max_iterations" else None
+
     def summary(self) -> str:
         """How it went, in a line."""
         return f"cost {self.costs[0]:.6g} to {self.costs[-1]:.6g} in {self.iterations} iterations, {self.status}"

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Literal
 
+from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.bundle.rows import INTRINSICS, WATER_WIDTH
 from torchrefrac.optim import Covariance, SingularError
@@ -32,7 +33,13 @@ def wished_change(problem: BundleProblem, scene: Scene, name: Given, pixel_sigma
         covariance = Covariance.of(linearized.system)
     except SingularError:
         return None
-    cameras = layout.cameras[:1]
-    column = layout.index_column() if name == "index_ratio" else int(layout.intrinsics_columns(name, cameras)[0, 0])
+    column = column_of(layout, name)
     step, variance = linearized.solve(0.0).reduced[column], covariance.reduced[column, column]
     return float(step), pixel_sigma * float(variance.clamp(min=0.0).sqrt())
+
+
+def column_of(layout: Layout, name: Given) -> int:
+    """Where the index ratio, or the focal length of the first camera, stands among the reduced unknowns."""
+    if name == "index_ratio":
+        return layout.index_column()
+    return int(layout.intrinsics_columns(name, layout.cameras[:1])[0, 0])

@@ -23,6 +23,7 @@ from torchrefrac.commands.results import (
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.config import FRESH_WATER, AdjustOptions, OptionError, PlaneOptions
 from torchrefrac.evaluate.metrics import evaluate
+from torchrefrac.evaluate.survey_consistency import survey_contradictions
 from torchrefrac.files.cameras import CAMERAS, write_cameras, write_points
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.colmap.model import find_colmap, write_colmap
@@ -52,8 +53,8 @@ def adjust(
 
     Raises what `sfm.readjust` raises.
     """
-    adjusted, _ = readjust(scene, survey, options, recorder)
-    return _finished(adjusted, len(scene.points))
+    survey = survey or Survey.empty(scene.views.names)
+    return _finished(*readjust(scene, survey, options, recorder), survey)
 
 
 def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict[str, Any]:
@@ -84,7 +85,7 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
             scene = with_found_level(scene, survey, how, recorder)
         everything, outcome = readjust(scene, survey, how, recorder)
         with recorder.meter(2, "evaluating", "") as advance:
-            adjusted = _finished(everything, len(scene.points))
+            adjusted = _finished(everything, outcome, survey)
             files.metrics |= _summary(scene, adjusted, outcome) | _lost(everything, survey)
             if truth is not None and len(adjusted.interfaces) == 1:
                 files.metrics |= evaluate(_above_level_water(adjusted), truth)[0]
@@ -169,10 +170,12 @@ def _with_varying_height(options: AdjustOptions) -> AdjustOptions:
     return replace(options, bundle=replace(options.bundle, refine=tuple(refine)))
 
 
-def _finished(scene: Scene, ties: int) -> Scene:
-    """Registered views and the points that stayed, without the ground control points, which are the last ones."""
-    tied = scene.accepted & (scene.observations.point < ties)
-    return replace(scene, accepted=tied).of_views(scene.views.registered).trimmed()
+def _finished(scene: Scene, outcome: Outcome, survey: Survey) -> Scene:
+    """Registered views and the points that stayed, without the ground control points, which are the last ones; and what
+    the images say against the survey."""
+    tied = scene.accepted & (scene.observations.point < len(scene.points) - len(survey.control_names))
+    findings = survey_contradictions(scene, survey, outcome.survey or survey)
+    return replace(scene, accepted=tied, findings=findings).of_views(scene.views.registered).trimmed()
 
 
 def _summary(given: Scene, adjusted: Scene, outcome: Outcome) -> dict[str, Any]:
@@ -199,6 +202,7 @@ def _summary(given: Scene, adjusted: Scene, outcome: Outcome) -> dict[str, Any]:
         "determined": list(known.determined),
         "held": dict(known.fixed),
         "adjustment": outcome.report.status,
+        "warnings": [finding.content for finding in adjusted.findings],
     }
     outside = int(adjusted.outside_water().sum())
     if outside:

@@ -29,6 +29,8 @@ from torchrefrac.sfm import (
     SfmOptions,
     UnknownVerticalError,
     VerifiedPair,
+    better_focal,
+    errors_in_air_and_water,
     level_capture,
     reconstruct_sparse,
     verify_pairs,
@@ -81,6 +83,12 @@ def reconstruct(
 
     def sparse() -> Scene:
         found = reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder)
+        known = found.assessment
+        if found.index_ratio <= 1.0:
+            known = replace(known, in_air_and_water=errors_in_air_and_water(found, stated))
+        elif (focal := better_focal(found, stated, matches, features, sfm)) is not None:
+            known = replace(known, wished={"focal": focal})
+        found = replace(found, assessment=known)
         return replace(found, findings=contradictions(found, stated))
 
     return stage("sparse", sparse)

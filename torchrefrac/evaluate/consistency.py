@@ -13,7 +13,8 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from torchrefrac.scene import Capture, Finding, Scene, WarningCode
-from torchrefrac.sfm.gravity import unlikely
+from torchrefrac.sfm.focal import GROSS
+from torchrefrac.sfm.gravity import contradicted_gravity
 from torchrefrac.sfm.heights import fit_heights
 from torchrefrac.sfm.vertical import angle_between
 
@@ -21,7 +22,7 @@ FEW, WORSE = 0.5, 4.0
 """Share of the observations of the typical view, and times its error: a view with fewer, larger ones is weak."""
 SURE = 5.0
 """Standard deviations of a wished change, which noise that is correlated makes look too small."""
-NOTABLE_INDEX, NOTABLE_FOCAL = 0.01, 0.02
+NOTABLE_INDEX, NOTABLE_FOCAL, VAGUE_FOCAL = 0.01, 0.02, 0.2
 MOSTLY_DRY, VAGUE = 0.5, 0.2
 """Share of the points under water, and error of the index ratio in units of what it is above 1, of a scene in which the
 water was put where it does nothing."""
@@ -31,6 +32,8 @@ STEEP = 0.002
 """Slope of a surface, radians, from which on it is worth a word."""
 FEWEST_DISPUTED, DISPUTED = 20, 0.02
 """Points, and share of all, that contradict where the water is stated to end: near its edge some always do."""
+UNDER_WATER = 0.5
+"""Typical error under water, as a share of that in air, below which there is water."""
 AIR = 1.02
 """An index ratio below which there is no water."""
 
@@ -38,12 +41,34 @@ AIR = 1.02
 def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     """All of them, those first that others may follow from. `scene`: what came out, with its assessment; `stated`: what
     went in, the same views in the same order."""
-    about_images = (*_duplicates(stated), *_weak_images(scene))
+    given = about_given(scene)
+    if scene.index_ratio > 1.0 and abs(scene.assessment.wished.get("focal", (0.0, 0.0))[0]) <= GROSS:
+        about_water = (*_outside_water(scene, stated), *([] if given else _surface(scene)))
+        given = (*given, *about_water, *_gravity(scene, stated), *_heights(scene, stated))
+    return (*given, *_damaged(stated), *_duplicates(stated), *about_images(scene))
+
+
+def about_given(scene: Scene) -> tuple[Finding, ...]:
+    """What the images say of the water and the lens. Where the latter is grossly wrong nothing else can be judged."""
     if scene.index_ratio <= 1.0:
-        return about_images
-    given = _given(scene)
-    about_water = (*given, *_outside_water(scene, stated), *([] if given else _surface(scene)))
-    return (*about_water, *_gravity(scene, stated), *_heights(scene, stated), *about_images)
+        return tuple(_unmodelled(scene))
+    intrinsics = _intrinsics(scene)
+    if intrinsics and abs(scene.assessment.wished["focal"][0]) > GROSS:
+        return tuple(intrinsics)
+    return (*_levels(scene), *intrinsics, *_water(scene))
+
+
+def about_images(scene: Scene) -> tuple[Finding, ...]:
+    """How well the images, and the adjustment of all, came out."""
+    return (*_weak_images(scene), *_not_converged(scene))
+
+
+def _damaged(stated: Capture) -> list[Finding]:
+    names = tuple(stated.damaged)
+    if not names:
+        return []
+    message = f"{listed(names)} could not be read and was left out: {stated.damaged[names[0]]}"
+    return [Finding(WarningCode.DAMAGED_IMAGE, message, names)]
 
 
 def _duplicates(stated: Capture) -> list[Finding]:
@@ -56,7 +81,7 @@ def _duplicates(stated: Capture) -> list[Finding]:
     return [
         Finding(
             WarningCode.DUPLICATE_IMAGE,
-            f"{_listed(tuple(names))} are the same photograph: more copies add nothing, and make it look more certain",
+            f"{listed(tuple(names))} are the same photograph: more copies add nothing, and make it look more certain",
             tuple(names),
         )
         for names in groups.values()
@@ -74,17 +99,15 @@ def _gravity(scene: Scene, stated: Capture) -> list[Finding]:
             "heights and depths may be off by some percent, slopes by as much; measure down_in_cam"
         )
         return [Finding(WarningCode.GRAVITY_UNDETERMINED, message)]
-    registered = scene.views.registered
-    angle = angle_between(-scene.views.rotation[:, :, 2], stated.down_in_cam)
-    wrong = registered & (angle > unlikely(int(registered.sum())) * stated.down_sigma)
-    names = _names(scene, wrong)
+    wrong = contradicted_gravity(scene, stated.down_in_cam, stated.down_sigma)
+    names = named(scene.views.names, wrong)
     if not names:
         return []
-    degrees = torch.rad2deg(angle)[wrong]
+    degrees = angle_between(-scene.views.rotation[wrong][:, :, 2], stated.down_in_cam[wrong]).rad2deg()
     off = f"{float(degrees.median()):.1f} degrees (median)" if len(names) > 1 else f"{float(degrees[0]):.1f} degrees"
     known = float(torch.rad2deg(stated.down_sigma)[wrong].median())
     message = (
-        f"down_in_cam of {_listed(names)} is {off} from the vertical that the images show, but is stated to be known "
+        f"down_in_cam of {listed(names)} is {off} from the vertical that the images show, but is stated to be known "
         f"to {known:.2g} degrees; it was not used: check its signs and axes (x right, y down, z forward)"
     )
     return [Finding(WarningCode.GRAVITY_CONTRADICTS, message, names)]
@@ -104,17 +127,30 @@ def _heights(scene: Scene, stated: Capture) -> list[Finding]:
         return [Finding(WarningCode.HEIGHT_CONTRADICTS, message)]
     wrong = measured.clone()
     wrong[measured] = ~fit.agrees
-    names = _names(scene, wrong)
+    names = named(scene.views.names, wrong)
     if not names:
         return []
     told = zip(names, stated.height[wrong].tolist(), scene.views.center[wrong, 2].tolist(), strict=True)
     shown = ", ".join(
         f"{name}: {there:.4g} {unit} stated, {here:.4g} {unit} found" for name, there, here in [*told][:3]
     )
-    message = (
-        f"the height of {_listed(names)} does not fit those of the others ({shown}); it was not used for the scale"
-    )
+    message = f"the height of {listed(names)} does not fit those of the others ({shown}); it was not used for the scale"
     return [Finding(WarningCode.HEIGHT_CONTRADICTS, message, names)]
+
+
+def _levels(scene: Scene) -> list[Finding]:
+    """Photographs of two days."""
+    levels, unit = scene.assessment.levels, scene.length_unit
+    if levels is None:
+        return []
+    names = named(scene.views.names, levels != 0.0)
+    higher, others = float(levels[levels != 0.0].mean()), scene.views.num_registered - len(names)
+    message = (
+        f"the water stood {abs(higher):.3g} {unit} {'higher' if higher > 0.0 else 'lower'} when {listed(names)} were "
+        f"taken than for the other {others} images, but one level was taken for all, so that cameras and points are "
+        "wrong: reconstruct the two groups apart"
+    )
+    return [Finding(WarningCode.WATER_LEVEL_CONTRADICTS, message, names)]
 
 
 def _weak_images(scene: Scene) -> list[Finding]:
@@ -141,8 +177,50 @@ def _weak_images(scene: Scene) -> list[Finding]:
     ]
 
 
-def _given(scene: Scene) -> list[Finding]:
-    """What was given of water and lens."""
+def _intrinsics(scene: Scene) -> list[Finding]:
+    step, sigma = scene.assessment.wished.get("focal", (0.0, 1.0))
+    if abs(step) <= max(SURE * sigma, NOTABLE_FOCAL):
+        return []
+    width, stated = scene.cameras[0].width, float(scene.cameras.focal[0, 0])
+    seen = stated * math.exp(step)
+    angle, angle_seen = (math.degrees(2.0 * math.atan(0.5 * width / focal)) for focal in (stated, seen))
+    message = "the images agree best with focal lengths "
+    if sigma < VAGUE_FOCAL:
+        message += f"near {seen:.4g} px (+- {100.0 * sigma:.2g} %), {angle_seen:.0f} degrees from side to side, "
+    else:
+        message += f"that are far {'longer' if step > 0.0 else 'shorter'}, "
+    message += f"but {stated:.4g} px are stated, {angle:.0f} degrees; "
+    if abs(step) > GROSS:
+        message += "nothing else that was stated can be judged with these; "
+    return [Finding(WarningCode.INTRINSICS_CONTRADICT, f"{message}calibrate the camera in air, or refine them")]
+
+
+def _not_converged(scene: Scene) -> list[Finding]:
+    after = scene.assessment.stopped_after
+    if after is None:
+        return []
+    message = (
+        f"the last adjustment stopped after {after} iterations, before it converged: raise max_iterations of its "
+        "solver, or look for images or points that do not fit"
+    )
+    return [Finding(WarningCode.NOT_CONVERGED, message)]
+
+
+def _unmodelled(scene: Scene) -> list[Finding]:
+    """Water that the model knows nothing of."""
+    air, water = scene.assessment.in_air_and_water or (0.0, 0.0)
+    if water >= UNDER_WATER * air:
+        return []
+    message = (
+        f"the images show water, but were reconstructed without refraction: under a water surface their typical error "
+        f"falls from {air:.2g} to {water:.2g} px; cameras, depths and shapes are wrong: use model=refractive, with the "
+        "index ratio of the water"
+    )
+    return [Finding(WarningCode.REFRACTION_UNMODELLED, message)]
+
+
+def _water(scene: Scene) -> list[Finding]:
+    """What was given of the water."""
     wished, found = scene.assessment.wished, []
     step, sigma = wished.get("index_ratio", (0.0, 0.0))
     in_water = (scene.points[:, 2] < 0.0) & ~scene.outside_water()
@@ -164,14 +242,6 @@ def _given(scene: Scene) -> list[Finding]:
                 f"{scene.index_ratio:.4g} is stated; refine it, or check intrinsics and gravity"
             )
             found.append(Finding(WarningCode.INDEX_CONTRADICTS, message))
-    step, sigma = wished.get("focal", (0.0, 1.0))
-    if abs(step) > max(SURE * sigma, NOTABLE_FOCAL):
-        message = (
-            f"the images agree best with focal lengths that are {100.0 * abs(step):.1f} % "
-            f"{'longer' if step > 0.0 else 'shorter'} (+- {100.0 * sigma:.2g} %) than stated; calibrate the camera in "
-            "air, or refine them"
-        )
-        found.append(Finding(WarningCode.INTRINSICS_CONTRADICT, message))
     return found
 
 
@@ -210,10 +280,11 @@ def _outside_water(scene: Scene, stated: Capture) -> list[Finding]:
     return [Finding(WarningCode.POINTS_OUTSIDE_WATER, message)]
 
 
-def _names(scene: Scene, which: Bool[Tensor, " m"]) -> tuple[str, ...]:
-    return tuple(scene.views.names[i] for i in which.nonzero()[:, 0].tolist())
+def named(names: tuple[str, ...], which: Bool[Tensor, " k"]) -> tuple[str, ...]:
+    """Those of the names that a mask picks."""
+    return tuple(names[i] for i in which.nonzero()[:, 0].tolist())
 
 
-def _listed(names: tuple[str, ...]) -> str:
+def listed(names: tuple[str, ...]) -> str:
     """All of a few names, or the first ones and how many more."""
     return ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} and {len(names) - 3} more images"

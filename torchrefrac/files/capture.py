@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,23 +12,25 @@ from torchrefrac.camera import Intrinsics
 from torchrefrac.files.extent import read_extent
 from torchrefrac.files.fields import Fields, different_names, read_json
 from torchrefrac.files.masks import Masks
-from torchrefrac.files.photographs import check_photograph, read_grey
+from torchrefrac.files.photographs import DamagedPhotographError, check_photograph, read_grey
 from torchrefrac.scene import Cameras, Capture, CaptureError, Interfaces, WaterExtent
 from torchrefrac.scene.interfaces import INDEX_RATIO_RANGE, MAX_INDEX_RATIO
 
 FORMAT = "torchrefrac-capture/1"
 PIXEL_SHIFT = {"center": 0.5, "corner": 0.0}
 UNIT_TOLERANCE = 1e-3
+SHORTEST_FOCAL, LONGEST_FOCAL = 1e-3, 1e9  # pixels, beyond any lens
 OPTICAL_AXIS = [0.0, 0.0, 1.0]
 
 
 def load_capture(folder: str | Path) -> Capture:
     """Read `folder`/capture.json; the images lie in `folder`/images.
 
-    Raises CaptureError with one sentence for anything that cannot be right: a missing, unreadable or damaged image, an
-    image of another size, a mask that fits no image or has another size, a missing or mistyped field, gravity or
-    headings of some images only, gravity that is no unit vector, a camera that looks at the sky, an index ratio below 1
-    or beyond any liquid, an extent of the water that is no polygon, fewer than two images, a name given twice.
+    Images that are damaged or cannot be read are left out and listed in `damaged`, where two or more others are left.
+    Raises CaptureError with one sentence for anything else that cannot be right: a missing image, one of another size,
+    a mask that fits no image or has another size, a missing or mistyped field, gravity or headings of some images only,
+    gravity that is no unit vector, a camera that looks at the sky, an index ratio below 1 or beyond any liquid, an
+    extent of the water that is no polygon, fewer than two images, a name given twice.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -44,8 +47,7 @@ def load_capture(folder: str | Path) -> Capture:
         raise top.fail("images", f"lists {len(images)}, but a reconstruction needs at least 2")
     names = _names(images)
     paths = tuple(folder / "images" / name for name in names)
-    for path in paths:
-        _check_image(path, intrinsics)
+    damaged = _damaged(paths, intrinsics)
     has_gravity, has_heading = (any(name in image for image in images) for name in ("down_in_cam", "heading_deg"))
     heights = [_height(image) for image in images]
     down = [_gravity(image) if has_gravity else OPTICAL_AXIS for image in images]
@@ -65,6 +67,12 @@ def load_capture(folder: str | Path) -> Capture:
         has_heading=has_heading,
         water_extent=_water_extent(top, images),
     )
+    whole = [i for i, path in enumerate(paths) if path not in damaged]
+    if len(whole) < 2:
+        raise next(iter(damaged.values()))
+    if damaged:
+        reasons = {name: str(damaged[path]) for name, path in zip(names, paths, strict=True) if path in damaged}
+        capture = replace(capture.of_views(whole), damaged=reasons)
     Masks(capture).check()
     return capture
 
@@ -85,6 +93,9 @@ def read_intrinsics(fields: Fields, distortion: Sequence[float], shift: float = 
     for name, value in zip(("width", "height", "fx", "fy"), (width, height, *focal), strict=True):
         if value <= 0:
             raise fields.fail(name, f"is {value:g}, but must be above 0")
+    for name, value in zip(("fx", "fy"), focal, strict=True):
+        if not SHORTEST_FOCAL <= value <= LONGEST_FOCAL:
+            raise fields.fail(name, f"is {value:g}, but must be {SHORTEST_FOCAL:g} to {LONGEST_FOCAL:g} pixels")
     return Intrinsics.create(width, height, focal, (cx + shift, cy + shift), distortion)
 
 
@@ -166,6 +177,17 @@ def _height(image: Fields) -> float | None:
     if height <= 0.0:
         raise image.fail("height", f"is {height:g}, but a camera stands above the water: above 0")
     return height
+
+
+def _damaged(paths: Sequence[Path], intrinsics: Intrinsics) -> dict[Path, DamagedPhotographError]:
+    """What is wrong with those images that are not whole."""
+    damaged = {}
+    for path in paths:
+        try:
+            _check_image(path, intrinsics)
+        except DamagedPhotographError as error:
+            damaged[path] = error
+    return damaged
 
 
 def _check_image(path: Path, intrinsics: Intrinsics) -> None:

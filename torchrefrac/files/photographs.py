@@ -20,6 +20,10 @@ BETWEEN_SCANS = (0xC4, 0xCC, START_OF_SCAN, 0xDB, 0xDC, 0xDD, 0xFE)  # tables, c
 RARE = 0.001  # share of the numbers at either end of their range that may be lost when the rest is stretched
 
 
+class DamagedPhotographError(CaptureError):
+    """The file of a photograph is not whole, or nothing that can be read as one; the message names it."""
+
+
 def read_grey(path: Path) -> cv2.typing.MatLike:
     """8-bit grey image (height, width), as stored: no EXIF rotation. One of 16 bits is stretched as by `read_color`."""
     image = _read(path, cv2.IMREAD_GRAYSCALE)
@@ -48,8 +52,8 @@ def read_alpha(path: Path) -> cv2.typing.MatLike | None:
 
 
 def check_photograph(path: Path) -> None:
-    """Refuse a JPEG or PNG file that ends too early or is damaged, of which decoders make up the rest in silence, and a
-    TIFF file of floating-point numbers."""
+    """Refuse a JPEG or PNG file that ends too early or is damaged, of which decoders make up the rest in silence (a
+    DamagedPhotographError), and a TIFF file of floating-point numbers."""
     content = path.read_bytes()
     problem = ""
     if content.startswith(JPEG):
@@ -59,20 +63,20 @@ def check_photograph(path: Path) -> None:
     elif content.startswith(TIFF):
         _require_depth(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), path)
     if problem:
-        raise CaptureError(f"{path} is damaged: {problem}; copy it again from where it was taken")
+        raise DamagedPhotographError(f"{path} is damaged: {problem}; copy it again from where it was taken")
 
 
 def _read(path: Path, flags: int) -> cv2.typing.MatLike:
     try:
         image = cv2.imread(str(path), flags | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
-        raise CaptureError(f"{path} cannot be read as an image: {error.err}") from None
+        raise DamagedPhotographError(f"{path} cannot be read as an image: {error.err}") from None
     return _require_depth(image, path)
 
 
 def _require_depth(image: cv2.typing.MatLike | None, path: Path) -> cv2.typing.MatLike:
     if image is None:
-        raise CaptureError(f"{path} cannot be read as an image; is it a complete JPEG, PNG or TIFF file?")
+        raise DamagedPhotographError(f"{path} cannot be read as an image; is it a complete JPEG, PNG or TIFF file?")
     if image.dtype.name not in ("uint8", "uint16"):
         raise CaptureError(f"{path} holds numbers of type {image.dtype}; convert it to a PNG or TIFF of 8 or 16 bits")
     return image

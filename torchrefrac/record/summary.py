@@ -37,9 +37,7 @@ def adjustment_lines(metrics: Mapping[str, Any]) -> list[str]:
     for key, words in LEFT_OUT.items():
         if key in metrics:
             lines.append(f"{words}: {', '.join(metrics[key])}")
-    if metrics["adjustment"] != "converged":
-        lines.append(f"the adjustment ended as {metrics['adjustment']}; see bundle.solver for its limits")
-    return lines + _against_truth(metrics)
+    return lines + _against_truth(metrics) + warning_lines(metrics)
 
 
 def _against_truth(metrics: Mapping[str, Any]) -> list[str]:

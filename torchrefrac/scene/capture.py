@@ -1,7 +1,7 @@
 """A capture: the photographs of one scene and what is known about them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -29,7 +29,8 @@ class Capture:
     height above the water in length_unit where has_height says that it was measured. heading: compass heading of the
     image's top after levelling, radians clockwise from north (world +y), with an error of degrees; it means nothing
     unless has_heading, and reports alone look at it. water_extent: where the water ends, if that is known. folder:
-    where the capture was read from; truth, if any, lies beside it.
+    where the capture was read from; truth, if any, lies beside it. damaged: photographs that were listed but are not
+    here, by name, and what is wrong with their files.
     """
 
     folder: Path
@@ -48,6 +49,7 @@ class Capture:
     camera: Int[Tensor, " c"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
     interface: Int[Tensor, " c"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
     water_extent: WaterExtent | None = None
+    damaged: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("camera", "interface"):

@@ -11,13 +11,19 @@ class WarningCode(StrEnum):
     GRAVITY_CONTRADICTS = "gravity_contradicts"
     GRAVITY_UNDETERMINED = "gravity_undetermined"
     HEIGHT_CONTRADICTS = "height_contradicts"
+    POSITION_CONTRADICTS = "position_contradicts"
+    CONTROL_CONTRADICTS = "control_contradicts"
+    NOT_CONVERGED = "not_converged"
     WEAK_IMAGE = "weak_image"
     INTRINSICS_CONTRADICT = "intrinsics_contradict"
     INDEX_CONTRADICTS = "index_contradicts"
+    DAMAGED_IMAGE = "damaged_image"
     DUPLICATE_IMAGE = "duplicate_image"
+    WATER_LEVEL_CONTRADICTS = "water_level_contradicts"
     NO_REFRACTION_SEEN = "no_refraction_seen"
     SURFACE_NOT_FLAT = "surface_not_flat"
     POINTS_OUTSIDE_WATER = "points_outside_water"
+    REFRACTION_UNMODELLED = "refraction_unmodelled"
 
 
 @dataclass(frozen=True)

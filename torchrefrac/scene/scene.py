@@ -33,9 +33,13 @@ class Assessment:
     index_ratio_sigma: None where it was given.
     determined: sentences about water, intrinsics and scale; fixed: what was to be refined, but is not determined, and
     why. wished: by how much "index_ratio" and the logarithm of the "focal" length, which were given, would change if
-    the images had a say, and the standard deviations of these changes. disputed: how many tracks are seen straight, as
-    their observations say, though they lie within the stated extent of the water, and how many through water, though
-    beyond.
+    the images had a say, and the standard deviations of these changes; of a grossly wrong focal length, that alone.
+    disputed: how many tracks are seen straight, as their observations say, though they lie within the stated extent of
+    the water, and how many through water, though beyond.
+    levels: by how much the water stands higher for some views than for the others, for which it is 0; None where one
+    level does for all.
+    stopped_after: iterations of the last adjustment, where it stopped before it converged.
+    in_air_and_water: of a scene without refraction, what its typical reprojection error is and would be under water.
     """
 
     pixel_sigma: float | None = None
@@ -50,6 +54,9 @@ class Assessment:
     surface_slope: float = 0.0
     surface_moves: bool = False
     disputed: tuple[int, int] = (0, 0)
+    levels: Float[Tensor, " m"] | None = None
+    stopped_after: int | None = None
+    in_air_and_water: tuple[float, float] | None = None
 
     def of_points(self, points: Int[Tensor, " p"]) -> "Assessment":
         """Of some of the points."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.checks import TorchrefracError
@@ -103,6 +103,27 @@ class Survey:
     def empty(cls, names: Sequence[str]) -> "Survey":
         """Nothing was measured of these images."""
         return resolve({}, {}, [], names)
+
+    def loosened(self, factor: float) -> "Survey":
+        """The same with sigmas of positions, of cameras and of control points, that are `factor` times as large."""
+        weight = factor**-2
+        return replace(
+            self,
+            center_information=weight * self.center_information,
+            known_information=weight * self.known_information,
+        )
+
+    def without(self, centers: Bool[Tensor, " c"], control: Bool[Tensor, " p"]) -> "Survey":
+        """The same without some of the camera centres and some of the known positions of control points."""
+        return replace(
+            self,
+            center=self.center[~centers],
+            center_information=self.center_information[~centers],
+            center_image=self.center_image[~centers],
+            known_control=self.known_control[~control],
+            known_position=self.known_position[~control],
+            known_information=self.known_information[~control],
+        )
 
 
 def resolve(

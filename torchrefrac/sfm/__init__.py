@@ -3,6 +3,7 @@ return a new scene and how it went. `reconstruct_sparse` and `readjust` are two 
 
 from torchrefrac.sfm.adjust import adjust
 from torchrefrac.sfm.filter_points import filter_points
+from torchrefrac.sfm.focal import better_focal
 from torchrefrac.sfm.gravity import with_right_gravity
 from torchrefrac.sfm.incremental import NoInitialPairError, reconstruct_sparse
 from torchrefrac.sfm.outcome import Adjustment, Filtering, Outcome, Registration, Start, Triangulation
@@ -13,6 +14,7 @@ from torchrefrac.sfm.refractive import RefractiveInitializer
 from torchrefrac.sfm.register import register, start
 from torchrefrac.sfm.rules import ReadjustOptions, Rules, SfmOptions
 from torchrefrac.sfm.triangulate import triangulate
+from torchrefrac.sfm.unmodelled import errors_in_air_and_water
 from torchrefrac.sfm.verification import VerifiedPair, verify_pairs
 from torchrefrac.sfm.vertical import UnknownVerticalError, level_capture
 from torchrefrac.sfm.water_level import with_found_level
@@ -20,7 +22,7 @@ from torchrefrac.sfm.water_level import with_found_level
 __all__ = [
     "Adjustment", "Filtering", "NoInitialPairError", "Outcome", "PairPose", "PinholeInitializer", "Pose",
     "PoseInitializer", "ReadjustOptions", "RefractiveInitializer", "Registration", "Rules", "SfmOptions", "Start",
-    "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "filter_points", "level_capture", "readjust",
-    "reconstruct_sparse", "register", "start", "triangulate", "verify_pairs", "with_found_level",
-    "with_right_gravity",
+    "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal", "errors_in_air_and_water",
+    "filter_points", "level_capture", "readjust", "reconstruct_sparse", "register", "start", "triangulate",
+    "verify_pairs", "with_found_level", "with_right_gravity",
 ]  # fmt: skip

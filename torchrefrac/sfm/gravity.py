@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float
+from scipy.special import chdtri
 from torch import Tensor
 
 from torchrefrac.features import Features, PairMatches
@@ -38,21 +39,34 @@ CHANCE = 0.0027
 """With which any of several right measurements is called wrong: that of three standard deviations."""
 
 
-def unlikely(count: int) -> float:
-    """Angle between true and measured gravity, in standard deviations of a component, that the largest of `count`
-    right ones exceeds with the probability CHANCE."""
-    return math.sqrt(2.0 * math.log(max(count, 1) / CHANCE))
+def unlikely(count: int, components: int = 2) -> float:
+    """Length of an error, in standard deviations of each of its components, that the largest of `count` exceeds with
+    the probability CHANCE; those of verticals have two. From the chi-squared distribution."""
+    return math.sqrt(float(chdtri(components, CHANCE / max(count, 1))))
 
 
 def contradicted_gravity(
     scene: Scene, down_in_cam: Float[Tensor, "m 3"], down_sigma: Float[Tensor, " m"]
 ) -> Bool[Tensor, " m"]:
     """Registered views whose vertical is farther from `down_in_cam` than errors of down_sigma (radians; infinite: not
-    known) explain. Where several are, those that are off by less than half of the largest may only be pulled along."""
+    known) explain."""
     known = scene.views.registered & down_sigma.isfinite()
+    return _off(scene, down_in_cam, down_sigma) > unlikely(int(known.sum()))
+
+
+def worst_gravity(
+    scene: Scene, down_in_cam: Float[Tensor, "m 3"], down_sigma: Float[Tensor, " m"]
+) -> Bool[Tensor, " m"]:
+    """Those of the contradicted ones that cannot be right: what is off by less than half of the largest, in standard
+    deviations, may only be pulled along."""
+    off = _off(scene, down_in_cam, down_sigma)
+    return contradicted_gravity(scene, down_in_cam, down_sigma) & (off > 0.5 * off.max())
+
+
+def _off(scene: Scene, down_in_cam: Float[Tensor, "m 3"], down_sigma: Float[Tensor, " m"]) -> Float[Tensor, " m"]:
+    """Angles between verticals in standard deviations; 0 where one of them is not known."""
     off = angle_between(-scene.views.rotation[:, :, 2], down_in_cam) / down_sigma
-    off = torch.where(known, off, 0.0)
-    return (off > unlikely(int(known.sum()))) & (off > 0.5 * off.max())
+    return torch.where(scene.views.registered, off, 0.0)
 
 
 def with_right_gravity(

@@ -16,7 +16,8 @@ from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess_scene
 from torchrefrac.sfm.dry_points import disputed, find_dry, same_dry, stated_sides, with_dry
 from torchrefrac.sfm.filter_points import affordable_length, filter_points
 from torchrefrac.sfm.frame import final_frame, fix_frame
-from torchrefrac.sfm.gravity import contradicted_gravity
+from torchrefrac.sfm.gravity import worst_gravity
+from torchrefrac.sfm.levels import with_levels
 from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.pose import PoseInitializer
 from torchrefrac.sfm.register import MIN_INITIAL_POINTS, rank_initial_pairs, register, start, visible_points
@@ -66,7 +67,9 @@ def reconstruct_sparse(
         sides = growth.sides(scene)
         if sides is not None:
             assessment = replace(assessment, disputed=disputed(scene, growth.rules, sides))
+        assessment = with_levels(assessment, scene, growth.rules, growth.fixed)
         advance(1, "")
+    assessment = replace(assessment, stopped_after=growth.stopped_after)
     return replace(scene.trimmed(), failures=growth.failures, assessment=assessment)
 
 
@@ -78,6 +81,7 @@ class _Growth:
         self.down_sigma = capture.down_sigma  # infinite where gravity turns out to be wrong
         self.failures: dict[str, str] = {}
         self.fixed: dict[str, str] = {}
+        self.stopped_after: int | None = None
         self._refused: dict[int, int] = {}  # views that could not be registered, and the points they saw then
         self.journal = Journal(recorder)
 
@@ -141,7 +145,7 @@ class _Growth:
         rules = replace(self.rules, min_track_length=length)
         scene = self._converged(scene, rules)
         for _ in range(self.options.final_rounds if scene.index_ratio > 1.0 else 0):
-            wrong = contradicted_gravity(scene, self.capture.down_in_cam, self.down_sigma)
+            wrong = worst_gravity(scene, self.capture.down_in_cam, self.down_sigma)
             if not bool(wrong.any()):
                 break
             unknown = wrong | self.down_sigma.isinf()
@@ -187,7 +191,7 @@ class _Growth:
     def _record(self, scene: Scene, outcome: Outcome) -> None:
         """What an adjustment of everything has led to."""
         if outcome.report is not None:
-            self.fixed = outcome.report.fixed
+            self.fixed, self.stopped_after = outcome.report.fixed, outcome.report.stopped_after
             self.recorder.detail(f"adjusted {scene.views.num_registered} images: {outcome.report.summary()}")
         self.show(scene, MOST_SHOWN)
 

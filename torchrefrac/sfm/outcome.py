@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from torchrefrac.bundle import BundleReport
+from torchrefrac.scene import Survey
 
 
 class Start(Enum):
@@ -47,12 +48,13 @@ class Adjustment(Enum):
 @dataclass(frozen=True)
 class Outcome:
     """kind: how the step ended, its numbers the ones in its sentence. views: those that were lost. report: of an
-    adjustment."""
+    adjustment. survey: what of a survey was used."""
 
     kind: Enum
     numbers: Mapping[str, float] = field(default_factory=dict)
     views: tuple[int, ...] = ()
     report: BundleReport | None = None
+    survey: Survey | None = None
 
     def __str__(self) -> str:
         return str(self.kind.value).format(**self.numbers)

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.bundle import BundleOptions, adjust, adjust_pose
@@ -105,6 +105,18 @@ def essential_pose(
     if int(inliers.sum()) < MIN_ESSENTIAL:
         return None
     return torch.from_numpy(rotation), torch.from_numpy(translation[:, 0]), inliers
+
+
+def fundamental_consensus(
+    pixels1: Float[Tensor, "n 2"], pixels2: Float[Tensor, "n 2"], max_error: float
+) -> Int[Tensor, " k"]:
+    """Which matches agree within max_error pixels on an epipolar geometry, of lenses that nobody knows."""
+    if len(pixels1) < MIN_ESSENTIAL:
+        return torch.zeros(0, dtype=torch.long)
+    both = pixels1.numpy(), pixels2.numpy()
+    found: Any = cv2.findFundamentalMat(*both, cv2.USAC_DEFAULT, max_error, 0.999, 10_000)
+    _, mask = found
+    return torch.zeros(0, dtype=torch.long) if mask is None else torch.from_numpy(mask[:, 0] > 0).nonzero()[:, 0]
 
 
 def refine_pair(

@@ -16,11 +16,13 @@ from torchrefrac.sfm.control import check_vertical, survey_terms, with_control
 from torchrefrac.sfm.dry_points import find_dry, with_dry
 from torchrefrac.sfm.filter_points import filter_points
 from torchrefrac.sfm.outcome import Outcome
+from torchrefrac.sfm.positions import FEWEST, without_contradicted
 from torchrefrac.sfm.rules import ReadjustOptions
 from torchrefrac.sfm.triangulate import triangulate
 
 MOST_SHOWN = 50_000  # points of a cloud for the recorder
 GENEROUS = 3.0  # what an error may be, in medians of all, while poses may still be far off
+LOOSE = 1e3  # times their sigmas positions do little more than fix the frame
 FIRST = ("plane_tilt", "plane_height")  # may vary at once; intrinsics and index ratio would take up errors of the poses
 
 
@@ -32,8 +34,9 @@ def readjust(
     Points are triangulated through the water: those given may be of a reconstruction without refraction. A first
     adjustment, in which large errors count little, takes in everything and leaves index ratio and intrinsics. Then
     observations that do not fit are dropped, points that could not be placed are tried again, and everything is
-    adjusted, up to `options.rounds` times. What nothing fixes of the frame stays as near to the given one as the data
-    allow.
+    adjusted, up to `options.rounds` times. Stated positions, of cameras and ground control, that most others contradict
+    are left out; the outcome has the survey that was used. What nothing fixes of the frame stays
+    as near to the given one as the data allow.
 
     The ground control points of the survey are the last points of the result (placed where they fit); views and
     points that do not fit the rest are still in it, not registered and not placed. The numbers of the outcome are
@@ -42,20 +45,33 @@ def readjust(
     Raises UnadjustableError, with the names of the images, for cameras below the water and for images that no common
     points connect, at the start or among what fits; SurveyError where gravity is measured and z does not point up.
     """
-    work = Work(scene, survey or Survey.empty(scene.views.names), options or ReadjustOptions(), recorder)
-    with work.recorder.meter(1, "placing", "") as advance:
+    stated = survey or Survey.empty(scene.views.names)
+    options, recorder = options or ReadjustOptions(), recorder or SilentRecorder()
+    with recorder.meter(1, "placing", "") as advance:
+        work = Work(scene, _most_positions(scene, stated, options), options, recorder)
         first = work.start(scene)
         before = first.errors()
         advance(1, "")
     adjusted, outcome = work.adjust_all(first)
-    with work.recorder.meter(1, "assessing", "") as advance:
+    with recorder.meter(1, "assessing", "") as advance:
         assert outcome.report is not None
         report = outcome.report
         assessment = assess(report.problem, report.scene, report.fixed).spread_over(adjusted.placed)
+        assessment = replace(assessment, stopped_after=report.stopped_after)
         advance(1, "")
     missing, median = int((~first.placed[: work.ties]).sum()), float(before[before.isfinite()].median())
-    outcome = replace(outcome, numbers={"not_triangulated": missing, "median_before": median})
+    outcome = replace(outcome, numbers={"not_triangulated": missing, "median_before": median}, survey=work.survey)
     return replace(adjusted, assessment=assessment), outcome
+
+
+def _most_positions(scene: Scene, stated: Survey, options: ReadjustOptions) -> Survey:
+    """The survey without the positions that most others contradict. An adjustment in which positions do little more
+    than fix the frame finds them: at full weight they win against images, whose large errors count little."""
+    if len(stated.center) + len(stated.known_control) <= FEWEST or options.held == "cameras":
+        return stated
+    work = Work(scene, stated.loosened(LOOSE), options, None)
+    first = work.start(scene)
+    return without_contradicted(work.adjust(first, work.first(first))[0], stated)
 
 
 class Work:

@@ -32,18 +32,33 @@ def with_found_level(
     is under water. Raises UnadjustableError where no plane with this normal separates the cameras from most points.
     """
     options, recorder = options or ReadjustOptions(), recorder or SilentRecorder()
+    tried = _tried_levels(scene, survey, options, recorder)
+    costs = [_cost(adjusted, options.max_error) for _, adjusted in tried]
+    moved = [float((after.views.center - scene.views.center).norm(dim=-1).median()) for _, after in tried]
+    good = [i for i, cost in enumerate(costs) if cost <= AS_GOOD * min(costs)]
+    return tried[min(good, key=moved.__getitem__)][0]
+
+
+def at_best_level(scene: Scene, survey: Survey, options: ReadjustOptions) -> Scene:
+    """The scene after a short adjustment from the height, of those tried, that then fits the images best. Raises what
+    `with_found_level` raises."""
+    tried = _tried_levels(scene, survey, options, SilentRecorder())
+    return min((adjusted for _, adjusted in tried), key=lambda adjusted: _cost(adjusted, options.max_error))
+
+
+def _tried_levels(
+    scene: Scene, survey: Survey | None, options: ReadjustOptions, recorder: Recorder
+) -> list[tuple[Scene, Scene]]:
+    """The scene with its surface at each height that is tried, and what a short adjustment makes of it."""
     bundle = options.bundle
     short = replace(bundle, solver=replace(bundle.solver, max_iterations=min(ITERATIONS, bundle.solver.max_iterations)))
     work = Work(scene, survey or Survey.empty(scene.views.names), replace(options, bundle=short), None)
     tried = [replace(scene, interfaces=replace(scene.interfaces, offset=at[None])) for at in candidate_offsets(scene)]
-    costs, moved = [], []
+    found = []
     for candidate in recorder.track(tried, len(tried), "water level", "height"):
         start = work.start(candidate)
-        adjusted, _ = work.adjust(start, work.first(start))
-        costs.append(_cost(adjusted, options.max_error))
-        moved.append(float((adjusted.views.center - scene.views.center).norm(dim=-1).median()))
-    good = [i for i, cost in enumerate(costs) if cost <= AS_GOOD * min(costs)]
-    return tried[min(good, key=moved.__getitem__)]
+        found.append((candidate, work.adjust(start, work.first(start))[0]))
+    return found
 
 
 def candidate_offsets(scene: Scene) -> Float[Tensor, " k"]:

@@ -1,0 +1,64 @@
+"""What the images say against a survey: the warnings of an adjustment."""
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from torchrefrac.evaluate.consistency import about_given, about_images, listed, named
+from torchrefrac.scene import Finding, Scene, Survey, WarningCode
+from torchrefrac.sfm.gravity import contradicted_gravity
+from torchrefrac.sfm.positions import Disagreement, of_centers, of_control
+from torchrefrac.sfm.vertical import angle_between
+
+
+def survey_contradictions(scene: Scene, survey: Survey, used: Survey) -> tuple[Finding, ...]:
+    """All of them, those first that others may follow from. `scene`: what came out, with all its views and its
+    assessment, the ground control points of the `survey` being its last points; used: what of the survey it was
+    adjusted with."""
+    stated = *_gravity(scene, survey), *_positions(scene, survey, used), *_control(scene, survey, used)
+    return (*about_given(scene), *stated, *about_images(scene))
+
+
+def _gravity(scene: Scene, survey: Survey) -> list[Finding]:
+    down = torch.zeros_like(scene.views.center).index_copy(0, survey.down_image, survey.down_in_cam)
+    sigma = torch.full_like(down[:, 0], torch.inf).index_copy(0, survey.down_image, survey.down_sigma)
+    wrong = contradicted_gravity(scene, down, sigma)
+    names = named(scene.views.names, wrong)
+    if not names:
+        return []
+    off = float(angle_between(-scene.views.rotation[wrong][:, :, 2], down[wrong]).rad2deg().median())
+    message = (
+        f"down_in_cam of {listed(names)} is {off:.2g} degrees (median) from the vertical that the images show, more "
+        "than its sigma explains: check it, its sigma, and that z points up"
+    )
+    return [Finding(WarningCode.GRAVITY_CONTRADICTS, message, names)]
+
+
+def _positions(scene: Scene, survey: Survey, used: Survey) -> list[Finding]:
+    off = of_centers(scene, survey)
+    names = tuple(scene.views.names[i] for i in survey.center_image.tolist())
+    left_out = ~torch.isin(survey.center_image, used.center_image)
+    message = _message(off, names, left_out, "center", scene.length_unit)
+    return [Finding(WarningCode.POSITION_CONTRADICTS, message, named(names, off.contradicted))] if message else []
+
+
+def _control(scene: Scene, survey: Survey, used: Survey) -> list[Finding]:
+    off = of_control(scene, survey)
+    names = tuple(survey.control_names[i] for i in survey.known_control.tolist())
+    left_out = off.deviations.isinf() | ~torch.isin(survey.known_control, used.known_control)
+    message = _message(off, names, left_out, "position or observations", scene.length_unit)
+    return [Finding(WarningCode.CONTROL_CONTRADICTS, message)] if message else []
+
+
+def _message(off: Disagreement, names: tuple[str, ...], left_out: Bool[Tensor, " k"], what: str, unit: str) -> str:
+    """Which of the names are how far off; nothing where none is."""
+    wrong = named(names, off.contradicted)
+    if not wrong:
+        return ""
+    far = off.distance[off.contradicted].tolist()
+    shown = ", ".join(f"{name}: {distance:.3g} {unit}" for name, distance in [*zip(wrong, far, strict=True)][:3])
+    used = "it was used, as no majority agrees" if not bool(left_out.any()) else "what most contradict was not used"
+    return (
+        f"{what} of {listed(wrong)} is farther from where the images have it than its sigma explains ({shown}); "
+        f"{used}: check it and its sigma"
+    )

@@ -1,0 +1,95 @@
+"""Positions of cameras and of ground control, as stated, against where the adjusted scene has them."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchrefrac.geometry import align_similarity
+from torchrefrac.scene import Scene, Survey
+from torchrefrac.sfm.gravity import unlikely
+from torchrefrac.sfm.rules import Rules
+from torchrefrac.sfm.triangulate import triangulate
+
+FEWEST = 4
+"""Stated positions that must agree where some are left out: fewer do not tell which is wrong."""
+CANDIDATES = 4
+"""Of the worst positions, those of which each is tried to be left out: it is not always the worst that is wrong."""
+SCATTERED = 5.0
+"""Times the median distance at which a position is far off, where images are less certain than what was stated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Disagreement:
+    """How far positions are from where they were stated to be: in length units, and in standard deviations of what was
+    stated; 0 where nothing is known, infinite where not even the images of it fit there."""
+
+    distance: Float[Tensor, " k"]
+    deviations: Float[Tensor, " k"]
+
+    @property
+    def contradicted(self) -> Bool[Tensor, " k"]:
+        """Those that are farther off than what was stated explains."""
+        return self.deviations > unlikely(len(self.deviations), 3)
+
+
+def of_centers(scene: Scene, survey: Survey) -> Disagreement:
+    """Of the camera centres of a survey."""
+    error = scene.views.center[survey.center_image] - survey.center
+    registered = scene.views.registered[survey.center_image]
+    return _disagreement(torch.where(registered[:, None], error, 0.0), survey.center_information)
+
+
+def of_control(scene: Scene, survey: Survey) -> Disagreement:
+    """Of the ground control points with known positions; those of the survey are the last points of the scene. Where
+    the pixels of one do not fit there it has no place: it is then put where its rays meet."""
+    ids = len(scene.points) - len(survey.control_names) + survey.known_control
+    seen = scene.observations
+    views = torch.bincount(seen.point[scene.views.registered[seen.view]], minlength=len(scene.points))[ids]
+    lost = ~scene.placed[ids] & (views >= 2)
+    wanted = torch.zeros_like(scene.placed).index_fill(0, ids[lost], True)
+    met, _ = triangulate(scene, replace(Rules(), max_error=torch.inf, min_angle_deg=0.0), wanted)
+    known = met.placed[ids]
+    error = torch.where(known[:, None], met.points[ids] - survey.known_position, 0.0)
+    found = _disagreement(error, survey.known_information)
+    return replace(found, deviations=torch.where(lost & known, torch.inf, found.deviations))
+
+
+def without_contradicted(scene: Scene, survey: Survey) -> Survey:
+    """The survey without the positions that most others contradict; itself where there are none.
+
+    scene: as images have it, with all ground control points; its frame does not count. Positions of cameras and control
+    are aligned with those stated by a similarity. The one without which the others agree best is left out where it is
+    too far off their alignment, and so on with these as long as most stay.
+    """
+    ids = len(scene.points) - len(survey.control_names) + survey.known_control
+    found = torch.cat((scene.views.center[survey.center_image], scene.points[ids]))
+    stated = torch.cat((survey.center, survey.known_position))
+    information = torch.cat((survey.center_information, survey.known_information))
+    known = torch.cat((scene.views.registered[survey.center_image], scene.placed[ids]))
+    kept, least = known.clone(), max(FEWEST, (int(known.sum()) + 2) // 2)
+
+    def off(kept: Bool[Tensor, " k"]) -> Float[Tensor, " k"]:
+        """Deviations from the alignment of those that are kept."""
+        aligned = align_similarity(found[kept], stated[kept]).apply(found)
+        return _disagreement(aligned - stated, information).deviations
+
+    while int(kept.sum()) > least:
+        worst = torch.where(kept, off(kept), 0.0).topk(CANDIDATES).indices.tolist()
+        without = [kept & (torch.arange(len(kept)) != i) for i in worst]
+        candidate, others, fewer = min(
+            ((i, off(fewer), fewer) for i, fewer in zip(worst, without, strict=True)),
+            key=lambda tried: float(tried[1][tried[2]].square().sum()),
+        )
+        usual = SCATTERED * float(others[fewer].median())
+        if float(others[candidate]) <= max(unlikely(int(fewer.sum()), 3), usual):
+            break
+        kept = fewer
+    out, cameras = known & ~kept, len(survey.center)
+    return survey.without(out[:cameras], out[cameras:]) if bool(out.any()) else survey
+
+
+def _disagreement(error: Float[Tensor, "k 3"], information: Float[Tensor, "k 3 3"]) -> Disagreement:
+    square = (error[:, None] @ information @ error[..., None])[:, 0, 0]
+    return Disagreement(error.norm(dim=-1), square.clamp(min=0.0).sqrt())
