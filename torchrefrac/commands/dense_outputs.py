@@ -27,7 +27,7 @@ def write_dense_outputs(cloud: DenseCloud, raster: Raster | None, outputs: Dense
         if outputs.geotiff:
             write_geotiff(raster, folder / "dsm.tif", outputs.crs)
         if outputs.mesh:
-            write_mesh(height_field_mesh(raster), folder / "mesh.ply")
+            write_mesh(height_field_mesh(raster), folder / "mesh.ply", raster.sigma[raster.valid])
     write_dense(cloud, folder / DENSE_CLOUD)
 
 
