@@ -16,6 +16,7 @@ from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.config import Options
 from torchrefrac.evaluate.consistency import contradictions
+from torchrefrac.evaluate.doubts import doubts
 from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
 from torchrefrac.figures.matches import StagePictures
@@ -81,7 +82,7 @@ def reconstruct(
 
     def sparse() -> Scene:
         found = reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder)
-        return replace(found, findings=contradictions(found, stated))
+        return replace(found, findings=(*contradictions(found, stated), *doubts(stated)))
 
     return stage("sparse", sparse)
 

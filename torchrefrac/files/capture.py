@@ -11,6 +11,7 @@ from torchrefrac.camera import Intrinsics
 from torchrefrac.files.fields import Fields, different_names, read_json
 from torchrefrac.files.masks import Masks
 from torchrefrac.files.photographs import check_photograph, read_grey
+from torchrefrac.files.plausible import implausible
 from torchrefrac.scene import Cameras, Capture, CaptureError, Interfaces
 from torchrefrac.scene.interfaces import INDEX_RATIO_RANGE, MAX_INDEX_RATIO
 
@@ -18,6 +19,7 @@ FORMAT = "torchrefrac-capture/1"
 PIXEL_SHIFT = {"center": 0.5, "corner": 0.0}
 UNIT_TOLERANCE = 1e-3
 OPTICAL_AXIS = [0.0, 0.0, 1.0]
+LEAST_HEIGHT, MOST_HEIGHT = 1e-9, 1e9  # in any unit; the sixth powers that covariances need have an exponent
 
 
 def load_capture(folder: str | Path) -> Capture:
@@ -80,7 +82,10 @@ def read_intrinsics(fields: Fields, distortion: Sequence[float], shift: float = 
     for name, value in zip(("width", "height", "fx", "fy"), (width, height, *focal), strict=True):
         if value <= 0:
             raise fields.fail(name, f"is {value:g}, but must be above 0")
-    return Intrinsics.create(width, height, focal, (cx + shift, cy + shift), distortion)
+    intrinsics = Intrinsics.create(width, height, focal, (cx + shift, cy + shift), distortion)
+    if (wrong := implausible(intrinsics)) is not None:
+        raise fields.fail(*wrong)
+    return intrinsics
 
 
 def intrinsics_content(intrinsics: Intrinsics) -> dict[str, Any]:
@@ -154,6 +159,8 @@ def _height(image: Fields) -> float | None:
     height = image.number("height")
     if height <= 0.0:
         raise image.fail("height", f"is {height:g}, but a camera stands above the water: above 0")
+    if not LEAST_HEIGHT <= height <= MOST_HEIGHT:
+        raise image.fail("height", f"is {height:g}, but must lie between {LEAST_HEIGHT:g} and {MOST_HEIGHT:g}")
     return height
 
 

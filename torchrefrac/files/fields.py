@@ -16,6 +16,8 @@ MEGABYTE = 1_000_000
 MOST_MEGABYTES = 32  # of a file that people or other programs write; about a second's work
 MOST_MEGABYTES_OF_A_SCENE = 256  # of one that a run may have written
 MOST_OBJECTS = 100_000  # in one list
+MOST_CHARACTERS = 1000  # of a text
+MOST_SHOWN = 100  # characters of a text in a sentence
 MOST_DIGITS = 18  # of a whole number; a longer one is read as a float
 
 
@@ -57,7 +59,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     content = dict(pairs)
     if len(content) < len(pairs):
         counts = Counter(name for name, _ in pairs)
-        raise _TwiceError(repr(next(name for name, count in counts.items() if count > 1)))
+        raise _TwiceError(_shortened(repr(next(name for name, count in counts.items() if count > 1))))
     return content
 
 
@@ -113,6 +115,8 @@ class Fields:
         value = self._get(name)
         if not isinstance(value, str) or not value:
             raise self.fail(name, f"is {_kind(value)}, but must be a non-empty string")
+        if len(value) > MOST_CHARACTERS:
+            raise self.fail(name, f"has {len(value)} characters, but must have at most {MOST_CHARACTERS}")
         return value
 
     def number(self, name: str) -> float:
@@ -179,7 +183,7 @@ class Fields:
         return self._content[name]
 
     def _label(self, name: str) -> str:
-        return f"{self._prefix}.{name}" if self._prefix else name
+        return f"{self._prefix}.{_shortened(name)}" if self._prefix else _shortened(name)
 
 
 def _kind(value: Any) -> str:
@@ -187,7 +191,12 @@ def _kind(value: Any) -> str:
         return "an object"
     if isinstance(value, list):
         return f"a list of {len(value)}"
-    return json.dumps(value) if isinstance(value, bool | None) else repr(value)
+    return json.dumps(value) if isinstance(value, bool | None) else _shortened(repr(value))
+
+
+def _shortened(text: str) -> str:
+    """As much of a text as fits into a sentence."""
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}... ({len(text)} characters)"
 
 
 def different_names(images: Sequence[Fields]) -> tuple[str, ...]:
