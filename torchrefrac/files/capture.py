@@ -57,7 +57,7 @@ def load_capture(folder: str | Path) -> Capture:
         down_sigma=torch.full((len(images),), _gravity_sigma(top) if has_gravity else math.inf, dtype=torch.float64),
         height=torch.tensor([height or 1.0 for height in heights], dtype=torch.float64),
         has_height=torch.tensor([height is not None for height in heights]),
-        length_unit=top.text("length_unit"),
+        length_unit=top.length_unit(),
         has_gravity=has_gravity,
         heading=torch.tensor([_heading(image) if has_heading else 0.0 for image in images], dtype=torch.float64),
         has_heading=has_heading,
@@ -153,7 +153,7 @@ def _heading(image: Fields) -> float:
 
 def _height(image: Fields) -> float | None:
     if "center_prior" in image:
-        image.numbers("center_prior", 3)
+        image.position("center_prior")
     if "height" not in image:
         return None
     height = image.number("height")
