@@ -1,5 +1,6 @@
 """Ways in which files are wrong: each changes a file by a rule that knows nothing of what the file is for."""
 
+import codecs
 import json
 import math
 import random
@@ -20,7 +21,7 @@ OF_MEMBERS = ("missing", "given twice")
 OF_LISTS = ("one too long", "one too short")
 OF_FILES = (
     *(f"{way} {share}" for way in ("cut at", "noise from") for share in (0.0, 0.02, 0.5, 0.9)),
-    "missing", "a folder", "a loop of links", "zeros", "a photograph",
+    "missing", "a folder", "a loop of links", "zeros", "a photograph", "behind a mark", "of Windows",
 )  # fmt: skip
 """What may be wrong with a file of any kind."""
 PLACE = "the place"
@@ -61,5 +62,9 @@ def spoil_file(path: Path, kind: str) -> None:
         path.symlink_to(path.name)
     elif kind == "zeros":
         path.write_bytes(bytes(len(content)))
+    elif kind == "behind a mark":
+        path.write_bytes(codecs.BOM_UTF8 + content)
+    elif kind == "of Windows":
+        path.write_bytes(content.replace(b"\n", b"\r\n"))
     elif kind == "a photograph":
         shutil.copy(next(path.parents[1].rglob("*.jpg")), path)

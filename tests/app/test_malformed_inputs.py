@@ -201,7 +201,7 @@ def _survey(scene: Scene) -> dict[str, Any]:
         },
         "marks": {
             "A": {"observations": observed["A"], "position": scene.points[a].tolist(), "sigma": 0.2},
-            "B": {"observations": observed["B"], "on_waterline": False},
+            "B": {"observations": observed["B"], "on_waterline": False, "waterline_sigma": 0.2},
         },
         "scale_bars": [
             {"from": "A", "to": "B", "length": float((scene.points[a] - scene.points[b]).norm()), "sigma": 0.2}

@@ -84,7 +84,7 @@ class RunRecord:
         settle(folder)
         path = folder / METRICS
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = json.loads(path.read_text(encoding="utf-8-sig"))
         except FileNotFoundError:
             raise RunRecordError(f"{path} is missing") from None
         except OSError as error:
