@@ -57,7 +57,7 @@ FIELDS = {
         scale_bars/0/from scale_bars/0/to scale_bars/0/length scale_bars/0/sigma""",
     "adjust: water.json": """format length_unit index_ratio planes[] planes/0 planes/0/normal[] planes/0/normal/2
         planes/0/offset plane_of plane_of/cam00.jpg""",
-    "densify: run/metrics.json": "status stages[] command model scene capture overrides length_unit",
+    "densify: run/metrics.json": "status stages[] model scene capture overrides length_unit",
 }
 """The fields of files that are made wrong, behind the command that reads them; with [] those that are lists."""
 FILES = {
@@ -173,6 +173,8 @@ def _make_inputs(sparse: Path, folder: Path) -> None:
     (run / "metrics.json").write_text(text.replace(json.dumps(str(sparse / "capture")), json.dumps("capture")))
     scene = read_scene(run)
     write_water(scene, folder / "water.json")
+    water = json.loads((folder / "water.json").read_text())
+    (folder / "water.json").write_text(json.dumps(water | {"plane_of": dict.fromkeys(scene.views.names, 0)}))
     write_colmap(scene, folder / "text")
     write_colmap(scene, folder / "binary", binary=True)
     (folder / "survey.json").write_text(json.dumps(_survey(scene)))
@@ -240,7 +242,8 @@ def _judge(case, inputs, torchrefrac, folder):
         return
     out = folder / ("run" if case.command == "densify" else case.out)
     found = json.loads((out / "metrics.json").read_text(), parse_constant=_refused_number)
-    error = evaluate(read_scene(out), load_truth(inputs / "capture"))[0].get("camera_rms_cm", math.inf)
+    scene = read_scene(out if (out / "cameras.json").is_file() else out / "colmap")
+    error = evaluate(scene, load_truth(inputs / "capture"))[0].get("camera_rms_cm", math.inf)
     assert error < EXACT_CM or any(found.get(name) for name in SAID), found
 
 
