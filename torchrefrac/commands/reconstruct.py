@@ -21,6 +21,7 @@ from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
 from torchrefrac.figures.matches import StagePictures
 from torchrefrac.files.masks import Masks
+from torchrefrac.files.paths import real_path
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Capture, Scene, Truth
 from torchrefrac.sfm import (
@@ -107,7 +108,7 @@ def run(
         files.stage_done(name, product, seconds)
         pictures.stage_done(name, product)
 
-    known = {"model": options.model.name, "capture": str(capture.folder.resolve())} | dict(about or {})
+    known = {"model": options.model.name, "capture": str(real_path(capture.folder))} | dict(about or {})
     with files.recording(**known, **capture.gravity_metrics):
         scene = reconstruct(capture, options, recorder, stage_done)
         with recorder.meter(2, "evaluating", "") as advance:
