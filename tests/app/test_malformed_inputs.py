@@ -170,8 +170,8 @@ def _make_inputs(sparse: Path, folder: Path) -> None:
     trimesh.Trimesh([[-99, -99, -99], [99, -99, -99], [0, 99, -99]], [[0, 1, 2]]).export(capture / "surface.ply")
     shown = np.full((len(truth["images"]), 6, 8, 3), np.nan, np.float32)
     np.savez(capture / "truth_points.npz", X=shown, plane=np.zeros(shown.shape[:3], int), step=40, offset=2.0)
-    text = (run / "metrics.json").read_text()
-    (run / "metrics.json").write_text(text.replace(json.dumps(str(sparse / "capture")), json.dumps("capture")))
+    told = {"scene": "capture", "capture": "capture", "overrides": {"seed": "0"}, "length_unit": "cm"}
+    (run / "metrics.json").write_text(json.dumps(json.loads((run / "metrics.json").read_text()) | told))
     scene = read_scene(run)
     write_water(scene, folder / "water.json")
     water = json.loads((folder / "water.json").read_text())
