@@ -14,6 +14,7 @@ NOISE = (
     "Error parsing override", "See http", "Config search path", "provider=", "full_key:", "object_type=",
     "To append to",
 )  # fmt: skip
+LONGEST = 800  # characters that are still read
 
 
 def one_sentence(error: BaseException, folder: Path | None = None) -> str:
@@ -62,4 +63,6 @@ def _known(parent: Any) -> str:
 
 
 def _words(error: BaseException) -> str:
-    return " ".join(" ".join(line for line in str(error).splitlines() if not line.strip().startswith(NOISE)).split())
+    lines = (line for line in str(error).splitlines() if not line.strip().startswith(NOISE))
+    words = " ".join(" ".join(lines).split())
+    return words if len(words) <= LONGEST else f"{words[:LONGEST]} ..."

@@ -17,13 +17,13 @@ ONE_FAILS = ("model=refractive", "water.index_ratio=1.33,abc", "features.max_fea
 
 
 @pytest.fixture
-def sweep(torchrefrac, part_of_tank, monkeypatch, tmp_path):
+def sweep(torchrefrac, half_of_tank, monkeypatch, tmp_path):
     """Runs two jobs, one of which fails, with a launcher; returns how it ended and the records of the jobs."""
 
     def run(launcher, *arguments):
         monkeypatch.setenv("OMP_NUM_THREADS", "1")
-        scene = part_of_tank([0, 3])
-        where = (f"hydra/launcher={launcher}", "scene=capture", f"scene.path={scene}", "out=runs")
+        scene = half_of_tank([0, 3])
+        where = (f"hydra/launcher={launcher}", "scene=capture", f"scene.path={scene}", "report=false", "out=runs")
         ended = torchrefrac("-m", *where, *ONE_FAILS, *arguments)
         paths = sorted((tmp_path / "runs").glob("*/metrics.json"))
         return ended, [json.loads(path.read_text()) for path in paths]
@@ -35,6 +35,7 @@ def _needs(package):
     pytest.importorskip(package, reason="needs torchrefrac[sweep]")
 
 
+@pytest.mark.slow
 def test_jobs_of_a_local_queue_end_as_one_after_the_other(sweep, tmp_path):
     _needs("hydra_plugins.hydra_submitit_launcher")
 

@@ -72,6 +72,12 @@ def test_a_model_written_by_hand_means_what_the_format_says(write_by_hand):
     assert scene.observations.pixels.tolist() == [[30.5, 40.5], [1.25, 2.5], [3.5, 4.5], [10.5, 20.5]]
 
 
+def test_text_as_windows_editors_save_it_is_read(write_by_hand):
+    texts = ("\ufeff" + text.replace("\n", "\r\n") for text in (CAMERAS, IMAGES, POINTS))
+
+    assert_same(read_colmap(write_by_hand(*texts, folder="other") / "other"), read_colmap(write_by_hand()))
+
+
 @pytest.mark.parametrize(
     ("line", "focal", "principal", "distortion"),
     [

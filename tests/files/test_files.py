@@ -1,6 +1,7 @@
 """Results on disk: written whole or not at all, and read back as they were."""
 
 import json
+import math
 from dataclasses import replace
 
 import pytest
@@ -242,6 +243,37 @@ def test_a_mistyped_truth_is_named(tmp_path):
     )
     with pytest.raises(CaptureError, match=r"images\[0\].cam_from_world_rotation is a list of 2"):
         load_truth(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "sentence"),
+    [
+        ("cam_from_world_rotation", [[-1, 0, 0], [0, 1, 0], [0, 0, 1]], "but must be a rotation"),
+        ("cam_from_world_rotation", [[1.002, 0, 0], [0, 1, 0], [0, 0, 1]], "but must be a rotation"),
+        ("cam_from_world_rotation", [[1e308, -1e308, 0], [0, 1, 0], [0, 0, 1]], "but must be a rotation"),
+        ("center_in_world", [0, -1e13, 0], r"center_in_world\[1\] is -1e\+13, but must lie between -1e\+12 and 1e\+12"),
+    ],
+)
+def test_poses_that_no_camera_has_are_refused(tmp_path, field, value, sentence):
+    content = json.loads(CAMERAS_JSON)
+    content["images"][0][field] = value
+    for name in ("cameras.json", "truth.json"):
+        (tmp_path / name).write_text(json.dumps(content | {"images": content["images"][:1]}))
+
+    with pytest.raises(SceneError, match=sentence):
+        read_cameras(tmp_path / "cameras.json")
+    with pytest.raises(CaptureError, match=sentence):
+        load_truth(tmp_path)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 3.1])
+def test_rotations_with_the_digits_that_people_write_are_taken(tmp_path, angle):
+    content = json.loads(CAMERAS_JSON)
+    c, s = round(math.cos(angle), 4), round(math.sin(angle), 4)
+    content["images"][0]["cam_from_world_rotation"] = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+    (tmp_path / "cameras.json").write_text(json.dumps(content))
+
+    assert read_cameras(tmp_path / "cameras.json").views.rotation[0, 0, 0] == c
 
 
 def _raw_ply(path):

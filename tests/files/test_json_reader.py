@@ -87,6 +87,28 @@ def test_a_size_of_five_thousand_digits_is_no_whole_number(write_capture):
         load_capture(folder)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        (
+            '"length_unit": "cm"',
+            '"length_unit": "{}"',
+            "length_unit has 1000000 characters, but must have at most 1000",
+        ),
+        ("1.333", '"{}"', r"index_ratio is 'a{99}... \(1000002 characters\), but must be a number"),
+        ('"index_ratio"', '"{}": 1.0, "index_ratio"', r"a{100}... \(1000000 characters\) is not a known field"),
+    ],
+)
+def test_of_a_text_without_end_little_is_said(write_capture, old, new, sentence):
+    folder = write_capture()
+    path = folder / "capture.json"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new.format("a" * 1_000_000)))
+
+    with pytest.raises(CaptureError, match=sentence):
+        load_capture(folder)
+
+
 def test_whole_numbers_that_a_float_would_round_stay_as_they_are(tmp_path):
     path = tmp_path / "a.json"
     path.write_text('{"a": 123456789012345678}')

@@ -1,5 +1,6 @@
 """The mesh of a raster: every triangle where it belongs, none across an edge."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -138,6 +139,32 @@ def test_a_mesh_survives_the_file_and_nothing_else_is_left(tmp_path, draw):
     assert np.array_equal(loaded.vertices, mesh.vertices.astype(np.float32))
     assert np.array_equal(loaded.faces, mesh.faces)
     assert np.array_equal(loaded.visual.vertex_colors, mesh.visual.vertex_colors)
+
+
+@pytest.mark.parametrize(
+    ("east", "sigma", "kind"), [(0.0, 0.03, "<f4"), (512345.0, 0.03, "<f8"), (512345.0, 9.0, "<f4")]
+)
+def test_vertices_keep_the_digits_that_are_known(tmp_path, draw, east, sigma, kind):
+    raster = replace(raster_of(draw.uniform(-1.0, 0.0, 6, 5), cell_size=0.1), x_west=east)
+    mesh = height_field_mesh(raster)
+
+    write_mesh(mesh, tmp_path / "mesh.ply", torch.full((30,), sigma, dtype=torch.float64))
+    loaded = trimesh.load(tmp_path / "mesh.ply", process=False)
+
+    assert np.array_equal(loaded.vertices, mesh.vertices.astype(kind))
+    assert np.array_equal(loaded.faces, mesh.faces)
+    written = loaded.metadata["_ply_raw"]["vertex"]["properties"]
+    assert [written[name] for name in "xyz"] == [kind] * 3
+
+
+def test_a_mesh_without_colours_has_none_in_the_file(tmp_path):
+    corners = [[0.0, 0.0, 1.0], [4e6, 0.0, 1.0], [4e6, 0.5, 1.0]]
+
+    write_mesh(trimesh.Trimesh(corners, [[0, 1, 2]], process=False), tmp_path / "mesh.ply")
+    loaded = trimesh.load(tmp_path / "mesh.ply", process=False)
+
+    assert loaded.triangles.tolist() == [corners]
+    assert list(loaded.metadata["_ply_raw"]["vertex"]["properties"]) == ["x", "y", "z"]
 
 
 def _loop(raster, max_slope_deg):

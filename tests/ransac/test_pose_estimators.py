@@ -152,6 +152,26 @@ def test_a_refinement_that_walks_off_its_consensus_is_not_taken(make_problem, dr
 
 
 @relative_and_absolute
+@pytest.mark.parametrize("land", [0, 120])
+def test_no_fewer_agree_in_the_end_than_with_the_best_minimal_sample(make_problem, generator, kind, land):
+    """Nor where some points are dry."""
+    estimator, _, _, _ = make_problem(kind, points=1500, noise=0.5, gravity_error_deg=0.5, land=land)
+    solve, agree = estimator.solve, [0]
+
+    def counted(samples):
+        models, valid = solve(samples)
+        errors = estimator.squared_errors(models[valid], None)
+        agree.append(int((errors < OPTIONS.max_error**2).sum(dim=-1).max()))
+        return models, valid
+
+    estimator.solve = counted
+
+    report = ransac(estimator, OPTIONS, generator)
+
+    assert report.num_inliers >= max(agree) > 1000
+
+
+@relative_and_absolute
 def test_random_matches_have_no_consensus_and_give_no_pose(make_problem, generator, kind):
     estimator, _, _, _ = make_problem(kind, outliers=200)
 

@@ -9,6 +9,7 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.hparams import metadata
 from tensorboard.plugins.mesh import metadata as mesh_metadata
+from tensorboard.util.tensor_util import make_ndarray
 
 from torchrefrac.record import tensorboard
 from torchrefrac.record.tensorboard import MOST_POINTS, TensorBoardRecorder, remove_events
@@ -76,11 +77,20 @@ def test_a_cloud_is_a_mesh_with_colours(recorded, draw):
 
     assert set(events.PluginTagToContent(mesh_metadata.PLUGIN_NAME)) == {"sparse_VERTEX", "sparse_COLOR"}
     (vertices,), (painted,) = events.Tensors("sparse_VERTEX"), events.Tensors("sparse_COLOR")
-    back = np.frombuffer(vertices.tensor_proto.tensor_content, np.float32)
-    back = back if back.size else np.array(vertices.tensor_proto.float_val, np.float32)
     assert vertices.step == 2
-    assert back.reshape(7, 3) == pytest.approx(points.float().numpy())
+    assert make_ndarray(vertices.tensor_proto)[0] == pytest.approx(points.float().numpy())
     assert [dim.size for dim in painted.tensor_proto.tensor_shape.dim] == [1, 7, 3]
+
+
+def test_a_cloud_of_a_map_is_shown_around_its_middle(recorded, draw):
+    points = draw.normal(7, 3)
+    colors, origin = torch.zeros(7, 3, dtype=torch.uint8), torch.tensor([512345.0, 4123456.0, 100.0]).double()
+
+    events = recorded(lambda board: board.cloud("sparse", points + origin, colors, 0))
+
+    (vertices,) = events.Tensors("sparse_VERTEX")
+    shown = points - points.median(dim=0).values
+    assert make_ndarray(vertices.tensor_proto)[0] == pytest.approx(shown.numpy(), abs=1e-6)
 
 
 def test_of_a_large_cloud_so_many_points_are_kept_that_the_events_stay_small(recorded, tmp_path, monkeypatch):

@@ -27,6 +27,7 @@ from torchrefrac.evaluate.survey_consistency import survey_contradictions
 from torchrefrac.files.cameras import CAMERAS, write_cameras, write_points
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.colmap.model import find_colmap, write_colmap
+from torchrefrac.files.paths import real_path
 from torchrefrac.files.run import RunRecord
 from torchrefrac.files.survey import read_survey
 from torchrefrac.files.tracks import read_scene, write_tracks
@@ -69,7 +70,7 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
     require_apart(options, folder)
     require_own(folder, adjusts=True)
     files, given = RunFolder(folder), run_record(Path(options.alignment))
-    about = {"command": "adjust", "source": str(Path(options.alignment).resolve())}
+    about = {"command": "adjust", "source": str(real_path(options.alignment))}
     if given is not None and given.capture is not None:
         about["capture"] = str(given.capture)
     with files.recording(**about), _stage(files, "adjusting"):
@@ -98,9 +99,9 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
 def require_apart(options: AdjustOptions, folder: Path) -> None:
     """Raise OutRefusedError where results in `folder` would replace what is given, or a model that no run wrote."""
     given = Path(options.alignment)
-    place, into = given.resolve(), folder.resolve()
+    place, into = real_path(given), real_path(folder)
     found = find_colmap(given)
-    if into in (place, found and found[0].resolve()) or place == into / MODEL:
+    if into in (place, found and real_path(found[0])) or place == into / MODEL:
         raise OutRefusedError(
             f"out is {folder}, where the alignment lies, but the one that was given must stay; name another folder"
         )

@@ -27,7 +27,7 @@ def write_dense_outputs(cloud: DenseCloud, raster: Raster | None, outputs: Dense
         if outputs.geotiff:
             write_geotiff(raster, folder / "dsm.tif", outputs.crs)
         if outputs.mesh:
-            write_mesh(height_field_mesh(raster), folder / "mesh.ply")
+            write_mesh(height_field_mesh(raster), folder / "mesh.ply", raster.sigma[raster.valid])
     write_dense(cloud, folder / DENSE_CLOUD)
 
 
@@ -43,7 +43,7 @@ def draw_dense_outputs(
     """The surface from above (where there is a raster), from aside and, where it is known, against the truth."""
     if raster is not None:
         draw_raster(raster, folder / "dsm.png")
-    model = metrics.get("model", "refractive" if scene.index_ratio > 1.0 else "none")
+    model = metrics.get("model") or ("refractive" if scene.index_ratio > 1.0 else "none")
     known = truth if alignment is not None else None
     draw_dense_views([dense_view(model, cloud, scene, alignment, metrics)], known, folder / DENSE_VIEW)
     if truth is not None and alignment is not None and len(truth.corner):

@@ -16,10 +16,12 @@ from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.config import Options
 from torchrefrac.evaluate.consistency import contradictions
+from torchrefrac.evaluate.doubts import doubts
 from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
 from torchrefrac.figures.matches import StagePictures
 from torchrefrac.files.masks import Masks
+from torchrefrac.files.paths import real_path
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Capture, Scene, Truth
 from torchrefrac.sfm import (
@@ -89,7 +91,7 @@ def reconstruct(
         elif (focal := better_focal(found, stated, matches, features, sfm)) is not None:
             known = replace(known, wished={"focal": focal})
         found = replace(found, assessment=known)
-        return replace(found, findings=contradictions(found, stated))
+        return replace(found, findings=(*contradictions(found, stated), *doubts(stated)))
 
     return stage("sparse", sparse)
 
@@ -114,7 +116,7 @@ def run(
         files.stage_done(name, product, seconds)
         pictures.stage_done(name, product)
 
-    known = {"model": options.model.name, "capture": str(capture.folder.resolve())} | dict(about or {})
+    known = {"model": options.model.name, "capture": str(real_path(capture.folder))} | dict(about or {})
     with files.recording(**known, **capture.gravity_metrics):
         scene = reconstruct(capture, options, recorder, stage_done)
         with recorder.meter(2, "evaluating", "") as advance:

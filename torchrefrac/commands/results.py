@@ -10,6 +10,7 @@ from pathlib import Path
 from torchrefrac.commands.dense_outputs import depth_map_files
 from torchrefrac.config import OptionError
 from torchrefrac.files.colmap.model import STEMS
+from torchrefrac.files.paths import real_path
 from torchrefrac.files.run import DENSE_RESULTS, DEPTH_MAPS, METRICS, PARTS, RunRecord, RunRecordError, RunStatus
 from torchrefrac.files.swap import PARTIAL, alone, finish, swap
 from torchrefrac.record.recorders import EVENTS, LOG
@@ -93,7 +94,7 @@ def require_own(folder: Path, adjusts: bool = False, dense_alone: bool = False) 
 
 def require_outside(folder: Path, capture: Path) -> None:
     """Raise OutRefusedError where results in `folder` would lie among the photographs of a capture."""
-    into, given = folder.resolve(), capture.resolve()
+    into, given = real_path(folder), real_path(capture)
     inside = any(into == given / part or given / part in into.parents for part in ("images", "masks"))
     around = any(place == given or place in given.parents for place in (into / own for own in OWN_FOLDERS))
     if into == given or inside or around:
@@ -104,7 +105,7 @@ def require_not_replaced(folder: Path, option: str, given: str | None) -> None:
     """Raise OutRefusedError where results in `folder` would replace a file that an option names."""
     if given is None:
         return
-    place, into = Path(given).resolve(), folder.resolve()
+    place, into = real_path(given), real_path(folder)
     names = {into / name for name in (*RESULTS, *DENSE_RESULTS, *OF_ADJUST, METRICS, REPORT, LOG)}
     if place in names or any(into / own in place.parents for own in OWN_FOLDERS):
         raise OutRefusedError(

@@ -7,6 +7,7 @@ from typing import Any
 
 from torchrefrac.config.build import OptionError, build
 from torchrefrac.files.library import embedded_scene
+from torchrefrac.files.paths import real_path
 from torchrefrac.recorder import Recorder
 from torchrefrac.synthetic.library import made_scene
 from torchrefrac.synthetic.options import SyntheticOptions
@@ -23,7 +24,7 @@ class FolderOptions:
     @property
     def label(self) -> str:
         """What reports call it."""
-        return self.name if self.path is None else Path(self.path).resolve().name
+        return self.name if self.path is None else real_path(self.path).name
 
 
 def build_scene(values: Mapping[str, Any], path: str = "scene") -> FolderOptions | SyntheticOptions:

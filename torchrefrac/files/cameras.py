@@ -93,8 +93,8 @@ def read_cameras(path: Path) -> Scene:
         known = torch.tensor([image.flag("registered") for image in images], dtype=torch.bool)
         registered = [image for image in images if image.flag("registered")]
         pose = Rigid.identity(len(images))
-        pose.rotation[known] = _table([image.matrix("cam_from_world_rotation") for image in registered], 3, 3)
-        pose.center[known] = _table([image.numbers("center_in_world", 3) for image in registered], 3)
+        pose.rotation[known] = _table([image.rotation("cam_from_world_rotation") for image in registered], 3, 3)
+        pose.center[known] = _table([image.position("center_in_world") for image in registered], 3)
         intrinsics = top.object("intrinsics")
         none = torch.zeros(0, 3, dtype=torch.float64)
         return Scene(
@@ -106,7 +106,7 @@ def read_cameras(path: Path) -> Scene:
             placed=torch.zeros(0, dtype=torch.bool),
             observations=Observations.none(),
             accepted=torch.zeros(0, dtype=torch.bool),
-            length_unit=top.text("length_unit"),
+            length_unit=top.length_unit(),
             failures={image.text("name"): image.text("reason", "") for image in images if not image.flag("registered")},
             assessment=_assessment(registered),
         )

@@ -13,14 +13,15 @@ from torchrefrac.files.extent import read_extent
 from torchrefrac.files.fields import Fields, different_names, read_json
 from torchrefrac.files.masks import Masks
 from torchrefrac.files.photographs import DamagedPhotographError, check_photograph, read_grey
+from torchrefrac.files.plausible import implausible
 from torchrefrac.scene import Cameras, Capture, CaptureError, Interfaces, WaterExtent
 from torchrefrac.scene.interfaces import INDEX_RATIO_RANGE, MAX_INDEX_RATIO
 
 FORMAT = "torchrefrac-capture/1"
 PIXEL_SHIFT = {"center": 0.5, "corner": 0.0}
 UNIT_TOLERANCE = 1e-3
-SHORTEST_FOCAL, LONGEST_FOCAL = 1e-3, 1e9  # pixels, beyond any lens
 OPTICAL_AXIS = [0.0, 0.0, 1.0]
+LEAST_HEIGHT, MOST_HEIGHT = 1e-9, 1e9  # in any unit; the sixth powers that covariances need have an exponent
 
 
 def load_capture(folder: str | Path) -> Capture:
@@ -61,7 +62,7 @@ def load_capture(folder: str | Path) -> Capture:
         down_sigma=torch.full((len(images),), _gravity_sigma(top) if has_gravity else math.inf, dtype=torch.float64),
         height=torch.tensor([height or 1.0 for height in heights], dtype=torch.float64),
         has_height=torch.tensor([height is not None for height in heights]),
-        length_unit=top.text("length_unit"),
+        length_unit=top.length_unit(),
         has_gravity=has_gravity,
         heading=torch.tensor([_heading(image) if has_heading else 0.0 for image in images], dtype=torch.float64),
         has_heading=has_heading,
@@ -93,10 +94,10 @@ def read_intrinsics(fields: Fields, distortion: Sequence[float], shift: float = 
     for name, value in zip(("width", "height", "fx", "fy"), (width, height, *focal), strict=True):
         if value <= 0:
             raise fields.fail(name, f"is {value:g}, but must be above 0")
-    for name, value in zip(("fx", "fy"), focal, strict=True):
-        if not SHORTEST_FOCAL <= value <= LONGEST_FOCAL:
-            raise fields.fail(name, f"is {value:g}, but must be {SHORTEST_FOCAL:g} to {LONGEST_FOCAL:g} pixels")
-    return Intrinsics.create(width, height, focal, (cx + shift, cy + shift), distortion)
+    intrinsics = Intrinsics.create(width, height, focal, (cx + shift, cy + shift), distortion)
+    if (wrong := implausible(intrinsics)) is not None:
+        raise fields.fail(*wrong)
+    return intrinsics
 
 
 def intrinsics_content(intrinsics: Intrinsics) -> dict[str, Any]:
@@ -170,12 +171,14 @@ def _heading(image: Fields) -> float:
 
 def _height(image: Fields) -> float | None:
     if "center_prior" in image:
-        image.numbers("center_prior", 3)
+        image.position("center_prior")
     if "height" not in image:
         return None
     height = image.number("height")
     if height <= 0.0:
         raise image.fail("height", f"is {height:g}, but a camera stands above the water: above 0")
+    if not LEAST_HEIGHT <= height <= MOST_HEIGHT:
+        raise image.fail("height", f"is {height:g}, but must lie between {LEAST_HEIGHT:g} and {MOST_HEIGHT:g}")
     return height
 
 

@@ -16,6 +16,11 @@ MEGABYTE = 1_000_000
 MOST_MEGABYTES = 32  # of a file that people or other programs write; about a second's work
 MOST_MEGABYTES_OF_A_SCENE = 256  # of one that a run may have written
 MOST_OBJECTS = 100_000  # in one list
+FARTHEST = 1e12  # from the origin, in any unit
+OFF_A_ROTATION = 1e-3  # of products of its rows
+MOST_CHARACTERS = 1000  # of a text
+MOST_OF_A_UNIT = 30  # characters
+MOST_SHOWN = 100  # characters of a text in a sentence
 MOST_DIGITS = 18  # of a whole number; a longer one is read as a float
 
 
@@ -57,7 +62,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     content = dict(pairs)
     if len(content) < len(pairs):
         counts = Counter(name for name, _ in pairs)
-        raise _TwiceError(repr(next(name for name, count in counts.items() if count > 1)))
+        raise _TwiceError(_shortened(repr(next(name for name, count in counts.items() if count > 1))))
     return content
 
 
@@ -113,7 +118,16 @@ class Fields:
         value = self._get(name)
         if not isinstance(value, str) or not value:
             raise self.fail(name, f"is {_kind(value)}, but must be a non-empty string")
+        if len(value) > MOST_CHARACTERS:
+            raise self.fail(name, f"has {len(value)} characters, but must have at most {MOST_CHARACTERS}")
         return value
+
+    def length_unit(self) -> str:
+        """That of the file, which stands in names and labels."""
+        unit = self.text("length_unit")
+        if len(unit) > MOST_OF_A_UNIT:
+            raise self.fail("length_unit", f"is {_kind(unit)}, but must have at most {MOST_OF_A_UNIT} characters")
+        return unit
 
     def number(self, name: str) -> float:
         return self._number(name, self._get(name))
@@ -158,6 +172,30 @@ class Fields:
         rows = Fields({f"{name}[{i}]": row for i, row in enumerate(value)}, self._path, self._prefix)
         return [rows.numbers(f"{name}[{i}]", width) for i in range(len(value))]
 
+    def rotation(self, name: str) -> list[list[float]]:
+        """A matrix whose rows are orthonormal and right-handed, to three digits."""
+        rows = self.matrix(name)
+        errors = [
+            sum(a * b for a, b in zip(rows[i], rows[j], strict=True)) - (i == j) for i in range(3) for j in range(3)
+        ]
+        (a, b, c), (d, e, f), (g, h, i) = rows
+        turn = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
+        if not (all(abs(error) <= OFF_A_ROTATION for error in errors) and turn > 0.0):
+            raise self.fail(
+                name, f"is {rows}, but must be a rotation: rows of length 1, square to each other, right-handed"
+            )
+        return rows
+
+    def position(self, name: str) -> list[float]:
+        """Three coordinates."""
+        coordinates = self.numbers(name, 3)
+        for i, coordinate in enumerate(coordinates):
+            if abs(coordinate) > FARTHEST:
+                raise self.fail(
+                    f"{name}[{i}]", f"is {coordinate:g}, but must lie between -{FARTHEST:g} and {FARTHEST:g}"
+                )
+        return coordinates
+
     def object(self, name: str) -> "Fields":
         return Fields(self._get(name), self._path, self._label(name))
 
@@ -189,7 +227,7 @@ class Fields:
         return self._content[name]
 
     def _label(self, name: str) -> str:
-        return f"{self._prefix}.{name}" if self._prefix else name
+        return f"{self._prefix}.{_shortened(name)}" if self._prefix else _shortened(name)
 
 
 def _kind(value: Any) -> str:
@@ -197,7 +235,12 @@ def _kind(value: Any) -> str:
         return "an object"
     if isinstance(value, list):
         return f"a list of {len(value)}"
-    return json.dumps(value) if isinstance(value, bool | None) else repr(value)
+    return json.dumps(value) if isinstance(value, bool | None) else _shortened(repr(value))
+
+
+def _shortened(text: str) -> str:
+    """As much of a text as fits into a sentence."""
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}... ({len(text)} characters)"
 
 
 def different_names(images: Sequence[Fields]) -> tuple[str, ...]:

@@ -8,13 +8,14 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from torchrefrac.atomic import replacing
+from torchrefrac.files.ply import kind_of_coordinates, write_vertices
 from torchrefrac.scene.raster import Raster
 
 if TYPE_CHECKING:
     import trimesh
 
 MAX_SLOPE_DEG = 80.0
+CHANNELS = ("red", "green", "blue", "alpha")
 WITHOUT = ((0, (2, 3, 1), 3), (1, (0, 2, 3), 2), (2, (0, 3, 1), 1), (3, (0, 2, 1), 0))
 """The four triangles of a quad of corners north-west, north-east, south-west, south-east: the corner that a triangle
 lacks, its own, counter-clockwise seen from above, and the one with its right angle."""
@@ -38,10 +39,21 @@ def height_field_mesh(raster: Raster, max_slope_deg: float = MAX_SLOPE_DEG) -> "
     return trimesh.Trimesh(vertices.numpy(), faces.numpy(), vertex_colors=colors.numpy(), process=False)
 
 
-def write_mesh(mesh: "trimesh.Trimesh", path: str | Path) -> None:
-    """Write a mesh as binary PLY, whole or not at all; vertices float32, as trimesh writes them."""
-    with replacing(Path(path)) as temporary, temporary.open("wb") as file:
-        mesh.export(file, file_type="ply", encoding="binary")
+def write_mesh(mesh: "trimesh.Trimesh", path: str | Path, sigma: Float[Tensor, " n"] | None = None) -> None:
+    """Write a mesh as binary PLY, whole or not at all: x y z, and the colours of the vertices where it has them.
+
+    Coordinates are float32, or float64 where that would round away what is known of them, as far from the origin of a
+    map. sigma: standard deviations of its surface, where they are known.
+    """
+    from trimesh.visual import ColorVisuals  # noqa: PLC0415 - slow to import, needed only here
+
+    vertices, faces = torch.tensor(mesh.vertices), torch.tensor(mesh.faces)
+    kind = kind_of_coordinates(vertices, sigma)
+    columns = [(name, kind, column) for name, column in zip("xyz", vertices.T, strict=True)]
+    if isinstance(mesh.visual, ColorVisuals) and mesh.visual.kind == "vertex":
+        colors = torch.tensor(mesh.visual.vertex_colors)
+        columns += [(name, "u1", column) for name, column in zip(CHANNELS, colors.T, strict=True)]
+    write_vertices(columns, Path(path), faces=faces)
 
 
 def _triangulate(

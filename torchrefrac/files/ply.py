@@ -1,10 +1,10 @@
-"""PLY files of points: binary, one record of plain numbers a vertex, read and written without a loop over them."""
+"""PLY files of points and triangles: binary, one record of plain numbers a vertex, read and written without a loop."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
@@ -17,6 +17,7 @@ NAMES: dict[str, str] = dict(
 NEWER_NAMES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
 TYPES = {name: kind for kind, name in (*NAMES.items(), *zip(KINDS, NEWER_NAMES, strict=True))}
 BYTE_ORDERS = {"format binary_little_endian 1.0": "<", "format binary_big_endian 1.0": ">"}
+TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 LONGEST_HEADER = 1 << 16
 FLOAT_STEPS = 1e6  # a float32 of this many standard deviations is rounded by 0.06 of one at most
 FLOAT_SPREADS = 100.0  # a float32 of this many spreads of all points is rounded by 6e-6 of one at most
@@ -26,9 +27,9 @@ class DenseFileError(TorchrefracError, ValueError):
     """A file of a dense reconstruction is damaged or of another kind; the message names the file."""
 
 
-def kind_of_coordinates(points: Float[Tensor, "n 3"], sigma: Float[Tensor, " n"] | None = None) -> str:
-    """NumPy type of coordinates: float32 unless that rounds by more than a part of their standard deviations or, where
-    these are not known, of the spread of the points."""
+def kind_of_coordinates(points: Float[Tensor, "n 3"], sigma: Float[Tensor, " m"] | None = None) -> str:
+    """NumPy type of coordinates: float32 unless that rounds by more than a part of the standard deviations, of these
+    points or of others like them, or, where none is known, of the spread of the points."""
     if not len(points):
         return "f4"
     exact = points.new_zeros(0) if sigma is None else sigma[(sigma > 0.0) & sigma.isfinite()]
@@ -40,12 +41,15 @@ def kind_of_coordinates(points: Float[Tensor, "n 3"], sigma: Float[Tensor, " n"]
 
 
 def write_vertices(
-    columns: Sequence[tuple[str, str, Shaped[Tensor, " n"]]], path: Path, comments: Sequence[str] = ()
+    columns: Sequence[tuple[str, str, Shaped[Tensor, " n"]]],
+    path: Path,
+    comments: Sequence[str] = (),
+    faces: Int[Tensor, "f 3"] | None = None,
 ) -> None:
-    """Write the vertices of a binary little-endian PLY file.
+    """Write the vertices of a binary little-endian PLY file, and the triangles between them, if there are any.
 
     columns: name, NumPy type ("f4", "u1", ...) and values of each property, in the order of the file. comments:
-    lines of the header. Raises ValueError where a comment has more than one line.
+    lines of the header. faces: the vertices of each triangle. Raises ValueError where a comment has more than one line.
     """
     for comment in comments:
         if comment.splitlines() != [comment]:
@@ -55,9 +59,14 @@ def write_vertices(
         vertices[name] = values.detach().cpu().numpy()
     header = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
     header += [f"element vertex {len(vertices)}", *(f"property {NAMES[kind]} {name}" for name, kind, _ in columns)]
+    triangles = np.empty(0 if faces is None else len(faces), dtype=TRIANGLE)
+    if faces is not None:
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        triangles["count"], triangles["corners"] = 3, faces.detach().cpu().numpy()
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write("\n".join([*header, "end_header", ""]).encode("utf-8"))
         vertices.tofile(file)
+        triangles.tofile(file)
 
 
 def read_vertices(path: Path) -> tuple[Shaped[np.ndarray, " n"], tuple[str, ...]]:

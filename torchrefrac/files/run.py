@@ -18,6 +18,10 @@ DENSE_VIEW, ERROR_MAP = "dense_view.png", "error_map.png"
 DENSE_RESULTS = (DENSE_CLOUD, "mesh.ply", "dsm.npz", "dsm.png", "dsm.tif", DENSE_VIEW, ERROR_MAP)
 DEPTH_MAPS = "dense"  # the folder of the depth maps
 PARTS = f"{DEPTH_MAPS}/parts"  # of what is finished while the stage is not
+TEXTS = ("status", "reason", "command", "model", "scene", "capture", "length_unit")
+KINDS: dict[str, type] = {"stages": list, "overrides": dict, **dict.fromkeys(TEXTS, str)}  # in metrics.json
+WORDS: dict[type, str] = {list: "a list", dict: "an object", str: "a text"}
+MOST_CHARACTERS = 10_000  # of one of them
 UNIT_STEMS = ("camera_rms_", "camera_sigma_median_", "point_sigma_median_")  # metrics that end in the length unit
 
 
@@ -58,12 +62,16 @@ class RunRecord:
 
     @classmethod
     def of(cls, folder: Path, metrics: Mapping[str, Any]) -> Self:
-        """The record of a run in `folder` with these metrics. Raises RunRecordError where the stages are no list."""
+        """The record of a run in `folder` with these metrics. Raises RunRecordError where what it says of the
+        run itself is of another kind than it must be."""
+        for name, wanted in KINDS.items():
+            value, is_damaged = metrics.get(name), f"{folder / METRICS} is damaged: {name}"
+            if not isinstance(value, wanted | None):
+                raise RunRecordError(f"{is_damaged} is {value!r}, but must be {WORDS[wanted]}")
+            if value is not None and len(value) > MOST_CHARACTERS:
+                raise RunRecordError(f"{is_damaged} is {len(value)} long, but may be {MOST_CHARACTERS} at most")
         status, stages, capture = (metrics.get(name) for name in ("status", "stages", "capture"))
-        if not isinstance(stages, list | None):
-            raise RunRecordError(f"{folder / METRICS} is damaged: stages is {stages!r}, but must be a list")
-        given = metrics.get("overrides")
-        overrides = {str(key): str(value) for key, value in given.items()} if isinstance(given, dict) else {}
+        overrides = {str(key): str(value) for key, value in (metrics.get("overrides") or {}).items()}
         return cls(
             folder,
             RunStatus(status) if status in list(RunStatus) else RunStatus.UNKNOWN,
@@ -84,7 +92,7 @@ class RunRecord:
         settle(folder)
         path = folder / METRICS
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = json.loads(path.read_text(encoding="utf-8-sig"))
         except FileNotFoundError:
             raise RunRecordError(f"{path} is missing") from None
         except OSError as error:

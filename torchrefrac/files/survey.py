@@ -79,7 +79,7 @@ def _image(image: Fields) -> SurveyedImage:
             found = " and ".join(given) or "neither center_sigma nor center_covariance"
             raise image.fail("center", f"has {found}, but needs one of the two")
         read = _covariance if given == ["center_covariance"] else _diagonal
-        center = image.numbers("center", 3), _information(image, given[0], read(image, given[0]))
+        center = image.position("center"), _information(image, given[0], read(image, given[0]))
     return SurveyedImage(down, height, center)
 
 
@@ -91,7 +91,7 @@ def _control_point(entry: Fields, shift: float) -> ControlPoint:
         pixels = {image: [x + shift for x in seen.numbers(image, 2)] for image in seen.names()}
     known = waterline = None
     if "position" in entry:
-        known = entry.numbers("position", 3), _information(entry, "sigma", _diagonal(entry, "sigma"))
+        known = entry.position("position"), _information(entry, "sigma", _diagonal(entry, "sigma"))
     if "on_waterline" in entry and entry.flag("on_waterline"):
         waterline = _positive(entry, "waterline_sigma")
     return ControlPoint(pixels, known, waterline)

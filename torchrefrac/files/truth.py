@@ -42,12 +42,12 @@ def load_truth(folder: str | Path, with_surface: bool = True) -> Truth | None:
 
     return Truth(
         names=tuple(image.text("name") for image in images),
-        rotation=torch.tensor([image.matrix("cam_from_world_rotation") for image in images], dtype=torch.float64),
-        center=table([image.numbers("center_in_world", 3) for image in images]),
-        corner=table([plane.numbers("origin", 3) for plane in planes]),
-        edge1=table([plane.numbers("e1", 3) for plane in planes]),
-        edge2=table([plane.numbers("e2", 3) for plane in planes]),
-        length_unit=top.text("length_unit"),
+        rotation=torch.tensor([image.rotation("cam_from_world_rotation") for image in images], dtype=torch.float64),
+        center=table([image.position("center_in_world") for image in images]),
+        corner=table([plane.position("origin") for plane in planes]),
+        edge1=table([plane.position("e1") for plane in planes]),
+        edge2=table([plane.position("e2") for plane in planes]),
+        length_unit=top.length_unit(),
         index_ratio=None if ratio_from is None else read_index_ratio(ratio_from),
         intrinsics=None if capture is None else capture_intrinsics(capture),
         folder=folder,

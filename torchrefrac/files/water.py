@@ -27,7 +27,7 @@ def read_water(path: str | Path, names: Sequence[str]) -> tuple[Interfaces, Int[
     with scene_fields(path) as top:
         top.only("format", "length_unit", "index_ratio", "planes", "plane_of")
         top.must_be("format", FORMAT)
-        top.text("length_unit")
+        top.length_unit()
         planes = [_plane(fields) for fields in top.objects("planes")]
         if not planes:
             raise top.fail("planes", "is empty, but must list at least one plane")

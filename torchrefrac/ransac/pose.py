@@ -4,7 +4,7 @@ Models are refined in stages, from a wide limit of the errors to a narrow one.
 """
 
 from collections.abc import Sequence
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
@@ -20,7 +20,7 @@ from torchrefrac.refinement import OneView, TwoViews
 
 LAST_ITERATIONS = 6
 LEAST_LIMIT = 0.05
-LEAST_SHARE = 0.9  # of the inliers of its start, below which a refinement has left their consensus
+LEAST_SHARE = 0.99  # of the inliers of its start, below which a refinement has left their consensus
 TILT_PX = 20.0
 
 Stages = Sequence[tuple[float, int]]
@@ -52,6 +52,23 @@ class PoseData(Protocol):
 D = TypeVar("D", bound=PoseData)
 
 
+class _Judged(NamedTuple):
+    """Models, and the squared errors of the data under them."""
+
+    models: Float[Tensor, "k d"]
+    squared_errors: Float[Tensor, "k n"]
+
+    @classmethod
+    def of(cls, data: PoseData, models: Float[Tensor, "k d"]) -> "_Judged":
+        return cls(models, data.squared_errors(models))
+
+    def unless_fewer_agree(self, refined: "_Judged", max_error: float) -> "_Judged":
+        """What models were refined to, but those whose refinement has walked off their consensus as they were."""
+        before, after = ((of.squared_errors < max_error * max_error).sum(dim=-1) for of in (self, refined))
+        fewer = (after < LEAST_SHARE * before)[:, None]
+        return _Judged(*(torch.where(fewer, old, new) for old, new in zip(self, refined, strict=True)))
+
+
 class PoseEstimator(Generic[D]):
     """Models are the rows of `data`, whose priors and errors they are refined and judged by; see `msac.Estimator`.
 
@@ -81,15 +98,13 @@ class PoseEstimator(Generic[D]):
         self, models: Float[Tensor, "k d"], max_error: float, rows: Int[Tensor, " n"] | None, thorough: bool
     ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
         data = self.data if rows is None else self.data.rows(rows)
-        start, limit_sq = models, max_error * max_error
-        models = refine_in_stages(data, models, max_error, self.thorough if thorough else self.quick)
-        errors = data.squared_errors(models)
+        found = _Judged.of(data, models)
+        refined = refine_in_stages(data, models, max_error, self.thorough if thorough else self.quick)
+        found = found.unless_fewer_agree(_Judged.of(data, refined), max_error)
         if thorough:
-            models = data.refine(models, tightened(errors, max_error), LAST_ITERATIONS).states
-            errors = data.squared_errors(models)
-        before, after = ((e < limit_sq).sum(dim=-1) for e in (data.squared_errors(start), errors))
-        models = torch.where((after < LEAST_SHARE * before)[:, None], start, models)
-        return models, data.costs(models, max_error)
+            refined = data.refine(found.models, tightened(found.squared_errors, max_error), LAST_ITERATIONS).states
+            found = found.unless_fewer_agree(_Judged.of(data, refined), max_error)
+        return found.models, data.costs(found.models, max_error)
 
 
 class RelativePoseEstimator(PoseEstimator[TwoViews]):

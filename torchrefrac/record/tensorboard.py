@@ -11,6 +11,7 @@ import cv2
 from jaxtyping import Float, Shaped, UInt8
 from torch import Tensor
 
+from torchrefrac.files.ply import kind_of_coordinates
 from torchrefrac.files.run import is_number
 from torchrefrac.recorder import Advance, SilentRecorder
 
@@ -82,11 +83,13 @@ class TensorBoardRecorder(SilentRecorder):
         self._writer._get_file_writer().add_summary(written, step)  # pyright: ignore[reportPrivateUsage]
 
     def cloud(self, name: str, points: Float[Tensor, "n 3"], colors: UInt8[Tensor, "n 3"], step: int) -> None:
-        """Of a large cloud every n-th point alone."""
+        """Of a large cloud every n-th point alone; what is too far from the origin for float32, around its middle."""
         every = -(-len(points) // MOST_POINTS)
         if not every:
             return
         points, colors = points[::every], colors[::every]
+        if kind_of_coordinates(points) == "f8":
+            points = points - points.median(dim=0).values
         size = float((points.amax(dim=0) - points.amin(dim=0)).max()) / POINTS_ACROSS
         look = {"material": {"cls": "PointsMaterial", "size": size}}
         self._writer.add_mesh(name, points[None].float(), colors[None].int(), config_dict=look, global_step=step)

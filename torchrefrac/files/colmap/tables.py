@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 
 from torchrefrac.camera import Intrinsics
+from torchrefrac.files.plausible import implausible
 from torchrefrac.scene import SceneError
 
 NO_POINT = -1
@@ -97,7 +98,10 @@ def intrinsics_of(row: CameraRow, path: Path) -> Intrinsics:
             "understood; calibrate with OPENCV, or undistort the images"
         )
     k = (*distortion[:5], *(0.0,) * (5 - len(distortion[:5])))
-    return Intrinsics.create(row.width, row.height, focal, principal, k)
+    intrinsics = Intrinsics.create(row.width, row.height, focal, principal, k)
+    if (wrong := implausible(intrinsics)) is not None:
+        raise SceneError(f"{where}: {' '.join(wrong)}")
+    return intrinsics
 
 
 def row_of(intrinsics: Intrinsics, camera: int) -> CameraRow:

@@ -141,8 +141,8 @@ def _join(numbers: tuple[float, ...]) -> str:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """All lines with their numbers, from 1."""
-    with path.open(encoding="utf-8") as file:
+    """All lines with their numbers, from 1, with or without a byte order mark before them."""
+    with path.open(encoding="utf-8-sig") as file:
         try:
             yield from enumerate(file, start=1)
         except UnicodeDecodeError as error:
