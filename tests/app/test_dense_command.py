@@ -97,7 +97,8 @@ def test_a_run_with_a_dense_stage_leaves_its_files_and_metrics(torchrefrac, spar
     assert 500 < len(cloud) == found["dense_points"] <= found["dense_patches"]
     assert found["dense_views_median"] == 3.0
     assert 0.9 < found["dense_score_median"] < 1.0
-    assert 0.0 < found["dense_sigma_median_cm"] < 0.2
+    assert 0.0 < found["dense_relative_sigma_median_cm"] < 0.2
+    assert found["dense_relative_sigma_median_cm"] < found["dense_sigma_median_cm"] < 1.0
     assert found["dense_patches_per_s"] == pytest.approx(found["dense_patches"] / found["seconds_dense"], rel=0.01)
     assert found["dense_accuracy_within_0.5_cm"] > 0.4
     assert found["dense_plane_rms_cm"] < 1.0

@@ -69,7 +69,7 @@ def photographed(make_basin, tmp_path):
             Cameras.of([intrinsics]),
             Interfaces.level(basin.index_ratio),
             basin.down_in_cam,
-            0.01,
+            torch.full((cameras,), 0.01, dtype=torch.float64),
             basin.center[:, 2],
             flags,
             "cm",

@@ -23,7 +23,7 @@ Metrics = dict[str, float | int | list[float | None]]
 def evaluate_dense_run(
     cloud: DenseCloud, truth: Truth | None, alignment: Similarity | None, seen: Float[Tensor, "k 3"] | None
 ) -> Metrics:
-    """How many points there are, their median views, score and sigma; where the truth is known what `evaluate_dense`
+    """How many points there are, their median views, score and sigmas; where the truth is known what `evaluate_dense`
     says, too."""
     metrics: Metrics = {"dense_points": len(cloud)}
     if len(cloud):
@@ -31,6 +31,7 @@ def evaluate_dense_run(
             "dense_views_median": float(cloud.views.double().median()),
             "dense_score_median": float(cloud.score.median()),
             f"dense_sigma_median_{cloud.length_unit}": float(cloud.sigma.median()),
+            f"dense_relative_sigma_median_{cloud.length_unit}": float(cloud.relative_sigma.median()),
         }
     return metrics if truth is None or alignment is None else metrics | evaluate_dense(cloud, truth, alignment, seen)
 
@@ -56,7 +57,7 @@ def evaluate_dense(
       dense_plane_rms_each_UNIT, the same for each plane (None where no inlier lies nearest to it); beside a mesh, only
       points take part whose nearest place of the surface lies on a plane;
     - dense_error_over_sigma: RMS over the inliers of that distance over the point's sigma, about 1 where sigma is
-      honest and surfaces are seen from straight above; sigma is along the viewing ray, so a slanted view makes it less.
+      honest; sigma is along the axis that is known worst, so that less says nothing against it.
 
     What is not defined is left out: accuracy without points or a true surface, what is of
     planes without any, completeness without `seen`.

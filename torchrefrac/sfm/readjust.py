@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchrefrac.bundle import BundleOptions, Term, UnadjustableError, check_inputs
 from torchrefrac.recorder import Advance, Recorder, SilentRecorder
-from torchrefrac.scene import Part, Scene, Survey
+from torchrefrac.scene import Assessment, Part, Scene, Survey
 from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess
 from torchrefrac.sfm.control import check_vertical, survey_terms, with_control
 from torchrefrac.sfm.dry_points import find_dry, with_dry
@@ -90,7 +90,7 @@ class Work:
 
     def start(self, scene: Scene) -> Scene:
         """All views; points triangulated through the water at their poses, and ground control points after them."""
-        scene = with_control(scene, self.survey)
+        scene = with_control(replace(scene, assessment=Assessment()), self.survey)
         self._check(replace(scene, placed=torch.ones_like(scene.placed), accepted=torch.ones_like(scene.accepted)))
         everything = replace(self.rules, max_error=torch.inf, min_support=0)
         scene, _ = triangulate(scene, everything, torch.ones_like(scene.placed))
