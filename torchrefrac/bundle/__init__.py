@@ -1,6 +1,7 @@
 """Bundle adjustment: the bridge between scenes and the optimiser. What varies, the priors, the gauge."""
 
 from torchrefrac.bundle.adjust import BundleReport, adjust, adjust_pose
+from torchrefrac.bundle.common_errors import CommonErrors
 from torchrefrac.bundle.implicit import adjust_differentiably
 from torchrefrac.bundle.inputs import UnadjustableError, check_inputs
 from torchrefrac.bundle.observability import Determination, determinations
@@ -20,8 +21,8 @@ from torchrefrac.bundle.terms import (
 from torchrefrac.bundle.uncertainty import Uncertainty, estimate_pixel_sigma, uncertainty
 
 __all__ = [
-    "BundleOptions", "BundleProblem", "BundleReport", "CenterPrior", "Determination", "Expectations", "GravityPrior",
-    "HeightPrior", "KnownPoints", "ScaleBars", "Term", "UnadjustableError", "Uncertainty", "Waterline", "adjust",
-    "adjust_differentiably", "adjust_pose", "check_inputs", "determinations", "estimate_pixel_sigma", "uncertainty",
+    "BundleOptions", "BundleProblem", "BundleReport", "CenterPrior", "CommonErrors", "Determination", "Expectations",
+    "GravityPrior", "HeightPrior", "KnownPoints", "ScaleBars", "Term", "UnadjustableError", "Uncertainty", "Waterline",
+    "adjust", "adjust_differentiably", "adjust_pose", "check_inputs", "determinations", "estimate_pixel_sigma", "uncertainty",
     "wished_change",
 ]  # fmt: skip

@@ -41,6 +41,17 @@ class Uncertainty:
     common: CommonErrors | None = None
 
     @property
+    def growth(self) -> float:
+        """By how much errors that observations have in common make the deviations of the centres larger: of the median
+        view; 1 where there are none."""
+        if self.common is None:
+            return 1.0
+        every = self.pose.diagonal(dim1=1, dim2=2)[:, 3:].sum(dim=-1)
+        draws = self.common.reduced[:, : 6 * self.layout.num_views].view(-1, self.layout.num_views, 6)[..., 3:]
+        common = draws.square().sum(dim=-1).mean(dim=0)
+        return float((every / (every - common).clamp(min=1e-6 * every.max())).median().sqrt())
+
+    @property
     def point_sigma(self) -> Float[Tensor, " n"]:
         """Standard deviation of the points along the axis in which each is known worst."""
         return largest_deviation(self.points)

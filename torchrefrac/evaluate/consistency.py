@@ -99,7 +99,10 @@ def _gravity(scene: Scene, stated: Capture) -> list[Finding]:
             "heights and depths may be off by some percent, slopes by as much; measure down_in_cam"
         )
         return [Finding(WarningCode.GRAVITY_UNDETERMINED, message)]
-    wrong = contradicted_gravity(scene, stated.down_in_cam, stated.down_sigma)
+    sigma = stated.down_sigma.clone()
+    if (common := scene.assessment.common_tilt) is not None:
+        sigma[scene.views.registered] = torch.hypot(sigma[scene.views.registered], common)
+    wrong = contradicted_gravity(scene, stated.down_in_cam, sigma)
     names = named(scene.views.names, wrong)
     if not names:
         return []

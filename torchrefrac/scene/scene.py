@@ -30,6 +30,7 @@ class Assessment:
     these were known. center_sigma of registered views: of a coordinate, in length_unit; center_covariance: of the
     centres. All are relative to the cameras as a whole. surface_slope: root mean square slope of the water surface that
     the residuals show, radians, zero where they show none; surface_moves: whether it differs from image to image.
+    common_tilt: how far such errors make verticals of registered views uncertain, radians.
     index_ratio_sigma: None where it was given.
     determined: sentences about water, intrinsics and scale; fixed: what was to be refined, but is not determined, and
     why. wished: by how much "index_ratio" and the logarithm of the "focal" length, which were given, would change if
@@ -53,6 +54,7 @@ class Assessment:
     wished: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     surface_slope: float = 0.0
     surface_moves: bool = False
+    common_tilt: Float[Tensor, " r"] | None = None
     disputed: tuple[int, int] = (0, 0)
     levels: Float[Tensor, " m"] | None = None
     stopped_after: int | None = None

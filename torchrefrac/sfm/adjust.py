@@ -1,22 +1,41 @@
 """Bundle adjustment of what is registered and placed, and how well that determines the finished scene."""
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import count
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchrefrac.bundle import BundleProblem, determinations, uncertainty, wished_change
+from torchrefrac.bundle import (
+    BundleOptions,
+    BundleProblem,
+    BundleReport,
+    CommonErrors,
+    determinations,
+    estimate_pixel_sigma,
+    uncertainty,
+    wished_change,
+)
 from torchrefrac.bundle import adjust as adjust_bundle
 from torchrefrac.bundle.layout import Layout
-from torchrefrac.optim import SingularError
+from torchrefrac.bundle.score import Given
+from torchrefrac.optim import REDUCED_SIZE, SingularError
 from torchrefrac.recorder import Advance, Recorder
 from torchrefrac.scene import Assessment, Scene, mean_deviation
 from torchrefrac.sfm.outcome import Adjustment, Outcome
 from torchrefrac.sfm.rules import Rules
 
-GIVEN = ("index_ratio", "focal")
+GIVEN: tuple[Given, ...] = ("index_ratio", "focal")
+MEDIAN_LENGTH = math.sqrt(2.0 * math.log(2.0))
+"""Of a vector whose two components are normal."""
+EFFICIENT = 2.0
+FINEST = 0.02
+"""Pixels; no keypoint is known better."""
+ENOUGH = 1e-6
+"""Relative decrease of the cost at which an adjustment ends that others went before."""
 
 OnStep = Callable[[int, float, float], None]
 
@@ -80,6 +99,28 @@ def adjust(scene: Scene, rules: Rules, on_step: OnStep | None = None) -> tuple[S
     return scene.with_part(part, report.scene), Outcome(kind, report=report)
 
 
+def with_noise_found(bundle: BundleOptions, report: BundleReport) -> BundleOptions:
+    """Options for another adjustment, which knows the noise of keypoints from one before it: at most what is expected.
+
+    Weights are right only so: a noise that is taken to be larger than it is leaves too much weight to gravity and
+    positions, and a loss that bends late lets poor matches weigh as much as good ones. The scale of the loss is that
+    at which Huber's estimator has 95 % efficiency on Gaussian noise of two coordinates, of as much as the median error
+    shows.
+    """
+    square = report.problem.squared_errors(report.scene)
+    if not len(square):
+        return bundle
+    typical = float(square.median().sqrt()) / MEDIAN_LENGTH
+    sigma = estimate_pixel_sigma(report.problem, report.scene)
+    solver = bundle.solver
+    return replace(
+        bundle,
+        loss_scale=min(bundle.loss_scale, max(EFFICIENT * typical, FINEST)),
+        pixel_sigma=min(bundle.pixel_sigma, max(sigma, FINEST)),
+        solver=replace(solver, function_tolerance=max(solver.function_tolerance, ENOUGH)),
+    )
+
+
 def assess_scene(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Assessment:
     """How well everything is determined; fixed: what an adjustment refused to refine. Empty where nothing is known."""
     part = scene.part()
@@ -109,7 +150,15 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         index_ratio_sigma=float(known.index_ratio) if "index_ratio" in problem.layout.water else None,
         determined=tuple(d.sentence for d in found),
         fixed=fixed,
-        wished={name: change for name, change in wished if change is not None} if found else {},
+        wished={name: (change[0], known.growth * change[1]) for name, change in wished if change} if found else {},
         surface_slope=0.0 if known.common is None else known.common.slope,
         surface_moves=known.common is not None and known.common.moving_slope > known.common.still_slope,
+        common_tilt=None if known.common is None else common_tilt(known.common, len(scene.views)),
     )
+
+
+def common_tilt(common: CommonErrors, views: int) -> Float[Tensor, "{views}"]:
+    """Standard deviation of the vertical in each view, radians about an axis across it, that errors which observations
+    have in common make."""
+    turns = common.reduced[:, : REDUCED_SIZE * views].view(-1, views, REDUCED_SIZE)[..., :3]
+    return turns.square().mean(dim=(0, 2)).sqrt()

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchrefrac.bundle import GravityPrior, Term
@@ -12,7 +12,7 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, Part, Scene
-from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess_scene
+from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess_scene, with_noise_found
 from torchrefrac.sfm.dry_points import disputed, find_dry, same_dry, stated_sides, with_dry
 from torchrefrac.sfm.filter_points import affordable_length, filter_points
 from torchrefrac.sfm.frame import final_frame, fix_frame
@@ -63,11 +63,12 @@ def reconstruct_sparse(
     with recorder.meter(1, "assessing", "") as advance:
         scene = fix_frame(scene, capture)
         growth.show(scene)
-        assessment = assess_scene(scene, growth.rules, growth.fixed)
+        rules = replace(growth.rules, bundle=growth.final_bundle)
+        assessment = assess_scene(scene, rules, growth.fixed)
         sides = growth.sides(scene)
         if sides is not None:
-            assessment = replace(assessment, disputed=disputed(scene, growth.rules, sides))
-        assessment = with_levels(assessment, scene, growth.rules, growth.fixed)
+            assessment = replace(assessment, disputed=disputed(scene, rules, sides))
+        assessment = with_levels(assessment, scene, rules, growth.fixed)
         advance(1, "")
     assessment = replace(assessment, stopped_after=growth.stopped_after)
     return replace(scene.trimmed(), failures=growth.failures, assessment=assessment)
@@ -82,6 +83,7 @@ class _Growth:
         self.failures: dict[str, str] = {}
         self.fixed: dict[str, str] = {}
         self.stopped_after: int | None = None
+        self.final_bundle = rules.bundle
         self._refused: dict[int, int] = {}  # views that could not be registered, and the points they saw then
         self.journal = Journal(recorder)
 
@@ -146,6 +148,9 @@ class _Growth:
         scene = self._converged(scene, rules)
         for _ in range(self.options.final_rounds if scene.index_ratio > 1.0 else 0):
             wrong = worst_gravity(scene, self.capture.down_in_cam, self.down_sigma)
+            if bool(wrong.any()):  # unless errors that observations have in common explain it
+                sigma = torch.hypot(self.down_sigma, self._common_tilt(scene))
+                wrong = worst_gravity(scene, self.capture.down_in_cam, sigma)
             if not bool(wrong.any()):
                 break
             unknown = wrong | self.down_sigma.isinf()
@@ -153,6 +158,14 @@ class _Growth:
             self.down_sigma = torch.where(unknown | most, torch.inf, self.down_sigma)
             scene = self._converged(scene, rules)
         return self._with_dry(scene, rules)
+
+    def _common_tilt(self, scene: Scene) -> Float[Tensor, " m"]:
+        """Of all views, zero where nothing is known."""
+        tilt = torch.zeros_like(self.down_sigma)
+        known = assess_scene(scene, replace(self.rules, bundle=self.final_bundle), self.fixed).common_tilt
+        if known is not None:
+            tilt[scene.views.registered] = known
+        return tilt
 
     def _with_dry(self, scene: Scene, rules: Rules) -> Scene:
         """With those points seen straight that are, and everything adjusted to that, until no more are found."""
@@ -178,6 +191,9 @@ class _Growth:
                 scene, outcome = adjust(scene, rules, steps)
                 steps.end()
                 self._record(scene, outcome)
+                if outcome.report is not None:
+                    rules = replace(rules, bundle=with_noise_found(self.rules.bundle, outcome.report))
+        self.final_bundle = rules.bundle
         return self._filter(scene, rules)
 
     def _filter(self, scene: Scene, rules: Rules) -> Scene:
