@@ -210,7 +210,8 @@ def incremental(given):
     for _ in range(given.options.final_rounds):
         scene, _ = tr.sfm.triangulate(scene, rules)
         scene, _ = tr.sfm.filter_points(scene, rules)
-        scene, _ = tr.sfm.adjust(scene, rules)
+        scene, outcome = tr.sfm.adjust(scene, rules)
+        rules = replace(rules, bundle=tr.sfm.with_noise_found(given.options.bundle, outcome.report))
     return tr.sfm.filter_points(scene, rules)[0]
 
 

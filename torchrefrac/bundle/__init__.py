@@ -23,6 +23,6 @@ from torchrefrac.bundle.uncertainty import Uncertainty, estimate_pixel_sigma, un
 __all__ = [
     "BundleOptions", "BundleProblem", "BundleReport", "CenterPrior", "CommonErrors", "Determination", "Expectations",
     "GravityPrior", "HeightPrior", "KnownPoints", "ScaleBars", "Term", "UnadjustableError", "Uncertainty", "Waterline",
-    "adjust", "adjust_differentiably", "adjust_pose", "check_inputs", "determinations", "estimate_pixel_sigma", "uncertainty",
-    "wished_change",
+    "adjust", "adjust_differentiably", "adjust_pose", "check_inputs", "determinations", "estimate_pixel_sigma",
+    "uncertainty", "wished_change",
 ]  # fmt: skip

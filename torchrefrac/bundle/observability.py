@@ -56,23 +56,18 @@ class Determination:
 
     @property
     def sentence(self) -> str:
-        """The same in words, with units."""
+        """The same in words, with units; and how well it would have to be known where it is not known well enough."""
         unit = UNITS.get(self.name, "")
         if math.isinf(self.posterior):
             return f"{WORDS[self.name]}: not determined"
         text = f"{WORDS[self.name]}: determined to {self.posterior:.2g}{unit}"
+        if not self.useful:
+            return f"{text}, but must be to {USEFUL[self.name]:g}{unit} to be refined"
         if self.prior is None:
             return text
         if self.posterior > 0.9 * self.prior:
             return f"{text}, which is what was known before"
         return f"{text} (known to {self.prior:.2g}{unit} before)"
-
-    @property
-    def refusal(self) -> str:
-        """Why it is not refined, in words: how well it is known, and how well it would have to be."""
-        if math.isinf(self.posterior):
-            return self.sentence
-        return f"{self.sentence}, but must be to {USEFUL[self.name]:g}{UNITS.get(self.name, '')} to be refined"
 
 
 def determinations(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> list[Determination]:
@@ -198,4 +193,4 @@ def undetermined(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> di
         found = determinations(problem, scene, pixel_sigma)
     except SingularError:
         return {}
-    return {d.name: d.refusal for d in found if d.name in refined and not d.useful}
+    return {d.name: d.sentence for d in found if d.name in refined and not d.useful}

@@ -20,8 +20,8 @@ from torchrefrac.sfm.vertical import angle_between
 
 FEW, WORSE = 0.5, 4.0
 """Share of the observations of the typical view, and times its error: a view with fewer, larger ones is weak."""
-SURE = 5.0
-"""Standard deviations of a wished change, which noise that is correlated makes look too small."""
+SURE = 4.0
+"""Standard deviations of a wished change."""
 NOTABLE_INDEX, NOTABLE_FOCAL, VAGUE_FOCAL = 0.01, 0.02, 0.2
 MOSTLY_DRY, VAGUE = 0.5, 0.2
 """Share of the points under water, and error of the index ratio in units of what it is above 1, of a scene in which the

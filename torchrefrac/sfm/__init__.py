@@ -1,7 +1,7 @@
 """Structure from motion in verbs: `start, register, triangulate, filter_points, adjust` take a scene and rules, and
 return a new scene and how it went. `reconstruct_sparse` and `readjust` are two orders of them (paper, section 3)."""
 
-from torchrefrac.sfm.adjust import adjust
+from torchrefrac.sfm.adjust import adjust, with_noise_found
 from torchrefrac.sfm.filter_points import filter_points
 from torchrefrac.sfm.focal import better_focal
 from torchrefrac.sfm.gravity import with_right_gravity
@@ -24,5 +24,5 @@ __all__ = [
     "PoseInitializer", "ReadjustOptions", "RefractiveInitializer", "Registration", "Rules", "SfmOptions", "Start",
     "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal", "errors_in_air_and_water",
     "filter_points", "level_capture", "readjust", "reconstruct_sparse", "register", "start", "triangulate",
-    "verify_pairs", "with_found_level", "with_right_gravity",
+    "verify_pairs", "with_found_level", "with_noise_found", "with_right_gravity",
 ]  # fmt: skip

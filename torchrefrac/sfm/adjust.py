@@ -31,7 +31,9 @@ from torchrefrac.sfm.rules import Rules
 GIVEN: tuple[Given, ...] = ("index_ratio", "focal")
 MEDIAN_LENGTH = math.sqrt(2.0 * math.log(2.0))
 """Of a vector whose two components are normal."""
-EFFICIENT = 2.0
+EFFICIENT, CAREFUL = 2.0, 2.0
+"""Times the noise: where the loss bends, and what weighs pixels against measurements, because errors of keypoints of
+one track are not quite independent."""
 FINEST = 0.02
 """Pixels; no keypoint is known better."""
 ENOUGH = 1e-6
@@ -116,7 +118,7 @@ def with_noise_found(bundle: BundleOptions, report: BundleReport) -> BundleOptio
     return replace(
         bundle,
         loss_scale=min(bundle.loss_scale, max(EFFICIENT * typical, FINEST)),
-        pixel_sigma=min(bundle.pixel_sigma, max(sigma, FINEST)),
+        pixel_sigma=min(bundle.pixel_sigma, max(CAREFUL * sigma, FINEST)),
         solver=replace(solver, function_tolerance=max(solver.function_tolerance, ENOUGH)),
     )
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrefrac.bundle import BundleOptions, Term, UnadjustableError, check_inputs
 from torchrefrac.recorder import Advance, Recorder, SilentRecorder
 from torchrefrac.scene import Assessment, Part, Scene, Survey
-from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess, with_noise_found
+from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess
 from torchrefrac.sfm.control import check_vertical, survey_terms, with_control
 from torchrefrac.sfm.dry_points import find_dry, with_dry
 from torchrefrac.sfm.filter_points import filter_points
@@ -118,10 +118,8 @@ class Work:
                 doubtful[self.ties :] &= ~scene.placed[self.ties :]  # control points are where measurements have them
                 scene, _ = triangulate(scene, rules, doubtful)
                 scene, _ = filter_points(scene, rules)
-                if i < 2 or not outcome.done or not _same_parts(scene, before):
-                    assert outcome.report is not None
-                    bundle = options.bundle if i == 0 else with_noise_found(options.bundle, outcome.report)
-                    scene, outcome = self.adjust(scene, bundle, advance)
+                if i == 0 or not outcome.done or not _same_parts(scene, before):
+                    scene, outcome = self.adjust(scene, options.bundle, advance)
                 else:
                     advance(most, "")
         return scene, outcome
