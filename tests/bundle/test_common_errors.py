@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from torchrefrac.bundle import adjust_pose, uncertainty
+from torchrefrac.bundle.common_errors import _explained
 from torchrefrac.bundle.random_fields import random_gradient, random_shift
 from torchrefrac.bundle.surface_slope import surface_slope
 from torchrefrac.camera import RefractiveCamera
@@ -141,3 +142,11 @@ def test_where_all_is_known_but_the_cameras_nothing_is_asked(plant):
     report = adjust_pose(plant(views=1, points=200, noise=0.5).truth)
 
     assert uncertainty(report.problem, report.scene).common is None
+
+
+def test_sums_over_cells_without_a_pair_explain_nothing():
+    left = torch.tensor([[1.0, 0.0], [0.0, 2.0], [0.0, 0.0]], dtype=torch.float64)
+    seen, spread = (torch.tensor(v, dtype=torch.float64) for v in ((3.0, 8.0, 0.0), (1.0, 1.0, 0.0)))
+
+    assert _explained(left, seen, spread) == pytest.approx([3.0, 4.0])
+    assert _explained(left, seen, 0.0 * spread) == [0.0, 0.0]

@@ -31,7 +31,7 @@ SEEN = 8.0
 """Standard deviations of a sum over independent residuals beyond which there are common errors."""
 CLIP = 3.0
 """Standard deviations beyond which a residual counts no more: a wrong match is no field."""
-TRIALS, MOST_TRIALS, ENOUGH = 3, 16, 100_000
+TRIALS, MOST_TRIALS, ENOUGH = 3, 12, 100_000
 """How many draws tell what a field leaves in the residuals: more where there are fewer than so many observations in
 all, which are soon drawn."""
 DRAWS = 40
@@ -181,10 +181,15 @@ def _left_by(
 def _explained(
     left: Float[Tensor, "sums fields"], seen: Float[Tensor, " sums"], spread: Float[Tensor, " sums"]
 ) -> list[float]:
-    """The variances of fields that explain the sums best, by non-negative least squares."""
+    """The variances of fields that explain the sums best, by non-negative least squares. Sums over cells without a pair
+    say nothing."""
     from scipy.optimize import nnls  # noqa: PLC0415 - slow to import
 
-    solution, _ = nnls((left / spread[:, None]).cpu().numpy(), (seen / spread).cpu().numpy())
+    said = (spread > 0.0) & spread.isfinite() & left.isfinite().all(dim=1)
+    if not bool(said.any()):
+        return [0.0] * left.shape[1]
+    weighed = left[said] / spread[said, None], seen[said] / spread[said]
+    solution, _ = nnls(*(values.cpu().numpy() for values in weighed))
     return solution.tolist()
 
 
