@@ -41,11 +41,13 @@ AIR = 1.02
 def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     """All of them, those first that others may follow from. `scene`: what came out, with its assessment; `stated`: what
     went in, the same views in the same order."""
-    given = about_given(scene)
-    if scene.index_ratio > 1.0 and abs(scene.assessment.wished.get("focal", (0.0, 0.0))[0]) <= GROSS:
+    given, about_files = about_given(scene), (*_damaged(stated), *_duplicates(stated))
+    if abs(scene.assessment.wished.get("focal", (0.0, 0.0))[0]) > GROSS:
+        return (*given, *about_files)  # what else is wrong follows from that
+    if scene.index_ratio > 1.0:
         about_water = (*_outside_water(scene, stated), *([] if given else _surface(scene)))
         given = (*given, *about_water, *_gravity(scene, stated), *_heights(scene, stated))
-    return (*given, *_damaged(stated), *_duplicates(stated), *about_images(scene))
+    return (*given, *about_files, *about_images(scene))
 
 
 def about_given(scene: Scene) -> tuple[Finding, ...]:
