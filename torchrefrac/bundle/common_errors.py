@@ -11,7 +11,7 @@ once, as a right-hand side. What draws of the explained variances do to the unkn
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,7 +22,8 @@ from torch import Tensor
 from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.bundle.random_fields import random_gradient, random_shift
 from torchrefrac.bundle.surface_slope import surface_slope
-from torchrefrac.optim import GaussNewtonInverse
+from torchrefrac.numerics import segment_sum_columns, typical_deviation
+from torchrefrac.optim import REDUCED_SIZE, GaussNewtonInverse
 from torchrefrac.scene import Scene
 
 PARTS = (2.0, 6.0, 20.0, 64.0)
@@ -38,8 +39,6 @@ DRAWS = 40
 """How many tell what all fields together do to the unknowns."""
 TOLERANCE = 0.1
 """Relative error of a sum that an explanation by fields is allowed."""
-MEDIAN_LENGTH = math.sqrt(2.0 * math.log(2.0))
-"""Of a vector whose two components are normal."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +60,14 @@ class CommonErrors:
     def slope(self) -> float:
         """Root mean square slope of the surface, radians."""
         return math.hypot(self.still_slope, self.moving_slope)
+
+    def poses(self, views: int) -> Float[Tensor, "draws {views} 6"]:
+        """The draws of (w, dc) of so many views."""
+        return self.reduced[:, : REDUCED_SIZE * views].view(-1, views, REDUCED_SIZE)
+
+    def tilt(self, views: int) -> Float[Tensor, "{views}"]:
+        """Standard deviation of the vertical in each of so many views, radians about an axis across it."""
+        return self.poses(views)[..., :3].square().mean(dim=(0, 2)).sqrt()
 
 
 @dataclass(frozen=True)
@@ -94,33 +101,36 @@ class _Kind:
 
     def sums(self, residuals: Float[Tensor, "2 k"]) -> list[Float[Tensor, ""]]:
         """Products of different residuals, as the values of the field would see them, over the pairs in each cell."""
-        scores = self._scores(residuals)
-        return [_segments(scores, cell).square().sum() - scores.square().sum() for cell in self.cells]
+        return list(self._pair_sums(self._scores(residuals)))
 
     def spreads(self, residuals: Float[Tensor, "2 k"]) -> list[Float[Tensor, ""]]:
         """Standard deviations of these sums where residuals are independent."""
         squares = self._scores(residuals).square()
-        return [
-            (2.0 * (_segments(squares, cell).square().sum() - squares.square().sum())).clamp(min=0.0).sqrt()
-            for cell in self.cells
-        ]
+        return [(2.0 * total).clamp(min=0.0).sqrt() for total in self._pair_sums(squares)]
+
+    def _pair_sums(self, values: Float[Tensor, "2 k"]) -> Iterator[Float[Tensor, ""]]:
+        """Products of different values of a component, over the pairs in each cell."""
+        alone = values.square().sum()
+        for cell in self.cells:
+            yield segment_sum_columns(values, cell, int(cell.max()) + 1).square().sum() - alone
 
     def _scores(self, residuals: Float[Tensor, "2 k"]) -> Float[Tensor, "2 k"]:
         return residuals if self.by_value is None else torch.einsum("kis,ik->sk", self.by_value, residuals)
 
 
-def common_errors(problem: BundleProblem, scene: Scene, inverse: GaussNewtonInverse) -> CommonErrors | None:
-    """Those that the residuals of `problem` at its minimum `scene` show; None where they look independent.
+def common_errors(
+    problem: BundleProblem, scene: Scene, residuals: Float[Tensor, "2 k"], inverse: GaussNewtonInverse
+) -> CommonErrors | None:
+    """Those that the residuals of `problem.seen` at the minimum `scene` show; None where they look independent.
 
     inverse: that of the problem with a squared loss. Deterministic. Errors whose fields change over less than a
     hundredth of an image look independent, and those that the adjustment absorbs altogether are not seen.
     """
-    residuals = problem.errors(scene, problem.seen)
     if not residuals.numel() or problem.layout.fix_points:
         return None
     kinds = _kinds(problem, scene)
     length = residuals.square().sum(dim=0).sqrt()
-    limit = CLIP * float(length.median()) / MEDIAN_LENGTH
+    limit = CLIP * typical_deviation(length)
     clipped = residuals * (limit / length.clamp(min=torch.finfo(length.dtype).tiny)).clamp(max=1.0)
     seen = torch.stack([value for kind in kinds for value in kind.sums(clipped)])
     spread = torch.stack([value for kind in kinds for value in kind.spreads(clipped)])
@@ -159,8 +169,8 @@ def _extent(place: Float[Tensor, "k 2"], view: Int[Tensor, " k"], views: int) ->
     if not len(place):
         return 0.0
     count = torch.bincount(view, minlength=views)[:, None].clamp(min=1)
-    mean = _segments(place.T, view, views).T / count
-    variance = _segments((place - mean[view]).square().T, view, views).T / count
+    mean = segment_sum_columns(place.T, view, views).T / count
+    variance = segment_sum_columns((place - mean[view]).square().T, view, views).T / count
     used = variance.amax(dim=1)
     return math.sqrt(12.0 * float(used[used > 0.0].median())) if bool((used > 0.0).any()) else 0.0
 
@@ -185,10 +195,10 @@ def _explained(
     say nothing."""
     from scipy.optimize import nnls  # noqa: PLC0415 - slow to import
 
-    said = (spread > 0.0) & spread.isfinite() & left.isfinite().all(dim=1)
-    if not bool(said.any()):
+    usable = (spread > 0.0) & spread.isfinite() & left.isfinite().all(dim=1)
+    if not bool(usable.any()):
         return [0.0] * left.shape[1]
-    weighed = left[said] / spread[said, None], seen[said] / spread[said]
+    weighed = left[usable] / spread[usable, None], seen[usable] / spread[usable]
     solution, _ = nnls(*(values.cpu().numpy() for values in weighed))
     return solution.tolist()
 
@@ -210,9 +220,3 @@ def _drawn(
         reduced.append(step)
         points.append(moved)
     return torch.stack(reduced), torch.stack(points)
-
-
-def _segments(values: Float[Tensor, "2 k"], segment: Int[Tensor, " k"], count: int = 0) -> Float[Tensor, "2 segments"]:
-    """Sums over the columns of each segment."""
-    count = count or int(segment.max()) + 1
-    return values.new_zeros(2, count).index_add_(1, segment, values)

@@ -52,8 +52,7 @@ class Uncertainty:
         if self.common is None:
             return self.effective_sigma / self.pixel_sigma
         every = self.pose.diagonal(dim1=1, dim2=2)[:, 3:].sum(dim=-1)
-        draws = self.common.reduced[:, : 6 * self.layout.num_views].view(-1, self.layout.num_views, 6)[..., 3:]
-        common = draws.square().sum(dim=-1).mean(dim=0)
+        common = self.common.poses(self.layout.num_views)[..., 3:].square().sum(dim=-1).mean(dim=0)
         common_growth = float((every / (every - common).clamp(min=1e-6 * every.max())).median().sqrt())
         return common_growth * self.effective_sigma / self.pixel_sigma
 
@@ -80,18 +79,18 @@ def uncertainty(problem: BundleProblem, scene: Scene, pixel_sigma: float | None 
     plain = replace(problem, options=replace(options, loss="squared", pixel_sigma=effective))
     found = Covariance.of(plain.linearize(scene).system)
     reduced = found.reduced * effective**2
-    covariance = replace(found, reduced=reduced)
+    covariance, residuals = replace(found, reduced=reduced), problem.errors(scene, problem.seen)
     points = reduced.new_zeros(layout.num_points, 3, 3)
     relative = points.clone()
     if not layout.fix_points:
-        variance = _own_variances(problem, scene, pixel_sigma)
+        variance = _own_variances(problem, residuals, pixel_sigma)
         points[layout.eliminated_points] = covariance.eliminated(variance)
         relative[layout.eliminated_points] = covariance.own(variance)
     if layout.reduced is not None:
         columns = layout.point_columns(layout.reduced_points)
         points[layout.reduced_points] = reduced[columns[:, :, None], columns[:, None, :]]
         relative[layout.reduced_points] = points[layout.reduced_points]
-    common = None if pixel_sigma is not None else common_errors(problem, scene, found.inverse)
+    common = None if pixel_sigma is not None else common_errors(problem, scene, residuals, found.inverse)
     if common is not None:
         reduced = reduced + common.reduced.mT @ common.reduced / len(common.reduced)
         points = points + torch.einsum("dni,dnj->nij", common.points, common.points) / len(common.points)
@@ -120,16 +119,16 @@ def _design_effect(problem: BundleProblem, sigma: float) -> float:
     return 1.0 + max(together - 1.0, 0.0) * shared
 
 
-def _own_variances(problem: BundleProblem, scene: Scene, pixel_sigma: float | None) -> Float[Tensor, " p"]:
-    """Variances of the keypoints of the points that are eliminated, square pixels."""
-    eliminated, seen = problem.layout.eliminated_points, problem.seen
+def _own_variances(
+    problem: BundleProblem, residuals: Float[Tensor, "2 k"], pixel_sigma: float | None
+) -> Float[Tensor, " p"]:
+    """Variances of the keypoints of the points that are eliminated, square pixels. residuals: of `problem.seen`."""
+    plan = problem.plan
     if pixel_sigma is not None:
-        return seen.pixels.new_full((len(eliminated),), pixel_sigma**2)
-    square = problem.errors(scene, seen).square().sum(dim=0)
-    slot = torch.zeros_like(problem.plan.place_of.new_zeros(problem.layout.num_points))
-    slot[eliminated] = torch.arange(len(eliminated), device=slot.device)
-    share = problem.reduced_unknowns / max(2 * (len(seen) + len(problem.seen_reduced)), 1)
-    return point_variances(square, slot[seen.point], len(eliminated), min(share, MOST_TAKEN))
+        return residuals.new_full((len(plan.place_of),), pixel_sigma**2)
+    share = problem.reduced_unknowns / max(2 * (len(problem.seen) + len(problem.seen_reduced)), 1)
+    square = residuals.square().sum(dim=0)
+    return point_variances(square, plan.place, plan.num_places, min(share, MOST_TAKEN))[plan.place_of]
 
 
 def estimate_pixel_sigma(problem: BundleProblem, scene: Scene) -> float:

@@ -56,15 +56,14 @@ def load_dense(path: str | Path) -> DenseCloud:
     def columns(names: Sequence[str], dtype: type = np.float64) -> Shaped[Tensor, "n k"]:
         return torch.from_numpy(np.stack([vertices[name].astype(dtype) for name in names], axis=-1))
 
+    relative = "sigma_relative" if "sigma_relative" in (vertices.dtype.names or ()) else "sigma"
     cloud = DenseCloud(
         points=columns(POSITION),
         normals=columns(NORMAL),
         colors=columns(COLOR, np.uint8),
         **{name: columns((name,))[:, 0] for name in ("sigma", "score")},
         **{name: columns((name,), np.int64)[:, 0] for name in ("views", "reference")},
-        relative_sigma=columns(("sigma_relative" if "sigma_relative" in (vertices.dtype.names or ()) else "sigma",))[
-            :, 0
-        ],
+        relative_sigma=columns((relative,))[:, 0],
         length_unit=units[0],
     )
     if not cloud.points.isfinite().all():

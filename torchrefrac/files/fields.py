@@ -159,8 +159,7 @@ class Fields:
         value = self._get(name)
         if not isinstance(value, list) or len(value) != 3:
             raise self.fail(name, f"is {_kind(value)}, but must be 3 rows of 3 numbers")
-        rows = Fields({f"{name}[{i}]": row for i, row in enumerate(value)}, self._path, self._prefix)
-        return [rows.numbers(f"{name}[{i}]", 3) for i in range(3)]
+        return self.rows(name, 3)
 
     def rows(self, name: str, width: int) -> list[list[float]]:
         """A list of rows of `width` numbers."""

@@ -12,9 +12,11 @@ from torchrefrac.numerics.small import (
     least_squares_on_circle,
     smallest_eigenvector_2x2,
 )
+from torchrefrac.numerics.spread import typical_deviation
 
 __all__ = [
     "adjugate_4x4", "alike", "determinant_4x4", "determines", "fourier_coefficients", "in_blocks", "in_double",
     "inverse_cholesky_3x3", "inverse_cholesky_components", "least_squares_on_circle", "like", "morton_code", "pick",
     "real_roots", "roots_on_circle", "segment_sum", "segment_sum_columns", "smallest_eigenvector_2x2", "thin",
+    "typical_deviation",
 ]  # fmt: skip

@@ -116,10 +116,10 @@ class GaussNewtonInverse:
             part, by = errors[:, None, here], rows[..., here]
             local.index_add_(1, plan.reduced[here], (by[:, plan.layout.reduced] * part).sum(dim=0))
             places.index_add_(1, plan.place[here], (by[:, plan.layout.eliminated] * part).sum(dim=0))
-        right = rows.new_zeros(plan.size + 1).index_add_(0, plan.columns.T.flatten(), local.flatten())[:-1]
+        right = rows.new_zeros(plan.size).index_add_(0, plan.columns.T.flatten(), local.flatten())
         step = -self(torch.cat((right, places[:, plan.place_of].T.flatten())))
         reduced, eliminated = step[: plan.size], step[plan.size :].view(-1, ELIMINATED_SIZE)
-        local = torch.nn.functional.pad(reduced, (0, 1))[plan.columns].T.contiguous()
+        local = reduced[plan.columns].T.contiguous()
         places[:, plan.place_of] = eliminated.T
         left = errors.clone()
         for here in in_cache(rows.shape[-1]):

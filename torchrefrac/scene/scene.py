@@ -250,6 +250,11 @@ class Scene:
         """How many accepted observations each view has."""
         return torch.bincount(self.observations.view[self.accepted], minlength=len(self.views))
 
+    def sightings(self) -> Int[Tensor, " n"]:
+        """How many registered views observe each point, accepted or not."""
+        seen = self.observations
+        return torch.bincount(seen.point[self.views.registered[seen.view]], minlength=len(self.points))
+
     def above_water(self) -> Bool[Tensor, " n"]:
         """Points above the surface that the first view with an observation of them looks through, or the first."""
         seen, interfaces = self.observations, self.interfaces

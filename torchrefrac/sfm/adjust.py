@@ -1,6 +1,5 @@
 """Bundle adjustment of what is registered and placed, and how well that determines the finished scene."""
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
@@ -13,7 +12,6 @@ from torchrefrac.bundle import (
     BundleOptions,
     BundleProblem,
     BundleReport,
-    CommonErrors,
     determinations,
     estimate_pixel_sigma,
     uncertainty,
@@ -22,15 +20,14 @@ from torchrefrac.bundle import (
 from torchrefrac.bundle import adjust as adjust_bundle
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.score import Given
-from torchrefrac.optim import REDUCED_SIZE, SingularError
+from torchrefrac.numerics import typical_deviation
+from torchrefrac.optim import SingularError
 from torchrefrac.recorder import Advance, Recorder
-from torchrefrac.scene import Assessment, Scene, mean_deviation
+from torchrefrac.scene import Assessment, Part, Scene, mean_deviation
 from torchrefrac.sfm.outcome import Adjustment, Outcome
 from torchrefrac.sfm.rules import Rules
 
 GIVEN: tuple[Given, ...] = ("index_ratio", "focal")
-MEDIAN_LENGTH = math.sqrt(2.0 * math.log(2.0))
-"""Of a vector whose two components are normal."""
 EFFICIENT, CAREFUL = 2.0, 2.0
 """Times the noise: where the loss bends, and what weighs pixels against measurements, because errors of keypoints of
 one track are not quite independent."""
@@ -112,7 +109,7 @@ def with_noise_found(bundle: BundleOptions, report: BundleReport) -> BundleOptio
     square = report.problem.squared_errors(report.scene)
     if not len(square):
         return bundle
-    typical = float(square.median().sqrt()) / MEDIAN_LENGTH
+    typical = typical_deviation(square.sqrt())
     sigma = estimate_pixel_sigma(report.problem, report.scene)
     solver = bundle.solver
     return replace(
@@ -126,11 +123,27 @@ def with_noise_found(bundle: BundleOptions, report: BundleReport) -> BundleOptio
 def assess_scene(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Assessment:
     """How well everything is determined; fixed: what an adjustment refused to refine. Empty where nothing is known."""
     part = scene.part()
-    if not len(part.scene.observations):
-        return Assessment()
+    return assess(_problem(part, rules, fixed), part.scene, fixed) if len(part.scene.observations) else Assessment()
+
+
+def common_tilt(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Float[Tensor, " m"]:
+    """How far errors that observations have in common make verticals uncertain, radians; zero where nothing is
+    known."""
+    part = scene.part()
+    tilt = torch.zeros_like(scene.views.center[:, 0])
+    try:
+        known = uncertainty(_problem(part, rules, fixed), part.scene) if len(part.scene.observations) else None
+    except SingularError:
+        known = None
+    if known is not None and known.common is not None:
+        tilt[part.view] = known.common.tilt(len(part.view))
+    return tilt
+
+
+def _problem(part: Part, rules: Rules, fixed: dict[str, str]) -> BundleProblem:
+    """That of adjusting a part, without what an adjustment refused to refine."""
     layout = Layout.create(part.scene, tuple(name for name in rules.bundle.refine if name not in fixed))
-    problem = BundleProblem.create(part.scene, layout, rules.bundle, rules.measurements(part))
-    return assess(problem, part.scene, fixed)
+    return BundleProblem.create(part.scene, layout, rules.bundle, rules.measurements(part))
 
 
 def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Assessment:
@@ -155,12 +168,5 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         wished={name: (change[0], known.growth * change[1]) for name, change in wished if change} if found else {},
         surface_slope=0.0 if known.common is None else known.common.slope,
         surface_moves=known.common is not None and known.common.moving_slope > known.common.still_slope,
-        common_tilt=None if known.common is None else common_tilt(known.common, len(scene.views)),
+        common_tilt=None if known.common is None else known.common.tilt(len(scene.views)),
     )
-
-
-def common_tilt(common: CommonErrors, views: int) -> Float[Tensor, "{views}"]:
-    """Standard deviation of the vertical in each view, radians about an axis across it, that errors which observations
-    have in common make."""
-    turns = common.reduced[:, : REDUCED_SIZE * views].view(-1, views, REDUCED_SIZE)[..., :3]
-    return turns.square().mean(dim=(0, 2)).sqrt()

@@ -86,7 +86,7 @@ def find_dry(scene: Scene, rules: Rules, stated: Int[Tensor, " n"] | None = None
     """
     if not scene.interfaces.refract():
         return None
-    length, sigma = _views_of_points(scene), _pixel_sigma(scene)
+    length, sigma = scene.sightings(), _pixel_sigma(scene)
     tracks = int((length >= ENOUGH_VIEWS).sum())
     if scene.dry is None and stated is None:
         doubtful = ((length >= ENOUGH_VIEWS) & (_excess(scene, sigma) > CLEAR + DECIDED)).nonzero()[:, 0]
@@ -113,7 +113,7 @@ def stated_sides(scene: Scene, extent: WaterExtent, final: Similarity) -> Int[Te
     seen = scene.observations
     sides = extent.all_votes(seen, len(scene.points)).sign()
     if extent.from_above is not None:
-        several = _views_of_points(scene) >= 2
+        several = scene.sightings() >= 2
         rows = (scene.views.registered[seen.view] & several[seen.point]).nonzero()[:, 0]
         tracks = Tracks.of(replace(scene, dry=torch.ones_like(scene.placed)), rows)
         points, _, _ = tracks.meet()
@@ -126,7 +126,7 @@ def disputed(scene: Scene, rules: Rules, stated: Int[Tensor, " n"]) -> tuple[int
     """How many tracks are clearly seen straight though stated to be under water, and the other way round."""
     if not scene.interfaces.refract():
         return 0, 0
-    found = evidence(scene, _views_of_points(scene) >= ENOUGH_VIEWS, rules, _pixel_sigma(scene))
+    found = evidence(scene, scene.sightings() >= ENOUGH_VIEWS, rules, _pixel_sigma(scene))
     sides = stated[found.ids]
     return int((found.clear & (sides < 0)).sum()), int((found.clearly_wet & (sides > 0)).sum())
 
@@ -183,12 +183,6 @@ class _Fit:
             below=tracks.height(estimate.points) < 0.0,
             views=torch.bincount(slot, minlength=len(start)),
         )
-
-
-def _views_of_points(scene: Scene) -> Int[Tensor, " n"]:
-    """How many registered views see each point."""
-    seen = scene.observations
-    return torch.bincount(seen.point[scene.views.registered[seen.view]], minlength=len(scene.points))
 
 
 def _pixel_sigma(scene: Scene) -> float:

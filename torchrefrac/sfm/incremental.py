@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from torch import Tensor
 
 from torchrefrac.bundle import GravityPrior, Term
@@ -12,7 +12,7 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, Part, Scene
-from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess_scene, with_noise_found
+from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess_scene, common_tilt, with_noise_found
 from torchrefrac.sfm.dry_points import disputed, find_dry, same_dry, stated_sides, with_dry
 from torchrefrac.sfm.filter_points import affordable_length, filter_points
 from torchrefrac.sfm.frame import final_frame, fix_frame
@@ -149,7 +149,8 @@ class _Growth:
         for _ in range(self.options.final_rounds if scene.index_ratio > 1.0 else 0):
             wrong = worst_gravity(scene, self.capture.down_in_cam, self.down_sigma)
             if bool(wrong.any()):  # unless errors that observations have in common explain it
-                sigma = torch.hypot(self.down_sigma, self._common_tilt(scene))
+                known = replace(self.rules, bundle=self.final_bundle)
+                sigma = torch.hypot(self.down_sigma, common_tilt(scene, known, self.fixed))
                 wrong = worst_gravity(scene, self.capture.down_in_cam, sigma)
             if not bool(wrong.any()):
                 break
@@ -158,14 +159,6 @@ class _Growth:
             self.down_sigma = torch.where(unknown | most, torch.inf, self.down_sigma)
             scene = self._converged(scene, rules)
         return self._with_dry(scene, rules)
-
-    def _common_tilt(self, scene: Scene) -> Float[Tensor, " m"]:
-        """Of all views, zero where nothing is known."""
-        tilt = torch.zeros_like(self.down_sigma)
-        known = assess_scene(scene, replace(self.rules, bundle=self.final_bundle), self.fixed).common_tilt
-        if known is not None:
-            tilt[scene.views.registered] = known
-        return tilt
 
     def _with_dry(self, scene: Scene, rules: Rules) -> Scene:
         """With those points seen straight that are, and everything adjusted to that, until no more are found."""

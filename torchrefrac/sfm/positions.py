@@ -45,9 +45,7 @@ def of_control(scene: Scene, survey: Survey) -> Disagreement:
     """Of the ground control points with known positions; those of the survey are the last points of the scene. Where
     the pixels of one do not fit there it has no place: it is then put where its rays meet."""
     ids = len(scene.points) - len(survey.control_names) + survey.known_control
-    seen = scene.observations
-    views = torch.bincount(seen.point[scene.views.registered[seen.view]], minlength=len(scene.points))[ids]
-    lost = ~scene.placed[ids] & (views >= 2)
+    lost = ~scene.placed[ids] & (scene.sightings()[ids] >= 2)
     wanted = torch.zeros_like(scene.placed).index_fill(0, ids[lost], True)
     met, _ = triangulate(scene, replace(Rules(), max_error=torch.inf, min_angle_deg=0.0), wanted)
     known = met.placed[ids]
@@ -68,16 +66,16 @@ def without_contradicted(scene: Scene, survey: Survey) -> Survey:
     stated = torch.cat((survey.center, survey.known_position))
     information = torch.cat((survey.center_information, survey.known_information))
     known = torch.cat((scene.views.registered[survey.center_image], scene.placed[ids]))
-    kept, least = known.clone(), max(FEWEST, (int(known.sum()) + 2) // 2)
+    accepted, least = known.clone(), max(FEWEST, (int(known.sum()) + 2) // 2)
 
-    def off(kept: Bool[Tensor, " k"]) -> Float[Tensor, " k"]:
-        """Deviations from the alignment of those that are kept."""
-        aligned = align_similarity(found[kept], stated[kept]).apply(found)
+    def off(accepted: Bool[Tensor, " k"]) -> Float[Tensor, " k"]:
+        """Deviations from the alignment of those that are accepted."""
+        aligned = align_similarity(found[accepted], stated[accepted]).apply(found)
         return _disagreement(aligned - stated, information).deviations
 
-    while int(kept.sum()) > least:
-        worst = torch.where(kept, off(kept), 0.0).topk(CANDIDATES).indices.tolist()
-        without = [kept & (torch.arange(len(kept)) != i) for i in worst]
+    while int(accepted.sum()) > least:
+        worst = torch.where(accepted, off(accepted), 0.0).topk(CANDIDATES).indices.tolist()
+        without = [accepted & (torch.arange(len(accepted)) != i) for i in worst]
         candidate, others, fewer = min(
             ((i, off(fewer), fewer) for i, fewer in zip(worst, without, strict=True)),
             key=lambda tried: float(tried[1][tried[2]].square().sum()),
@@ -85,8 +83,8 @@ def without_contradicted(scene: Scene, survey: Survey) -> Survey:
         usual = SCATTERED * float(others[fewer].median())
         if float(others[candidate]) <= max(unlikely(int(fewer.sum()), 3), usual):
             break
-        kept = fewer
-    out, cameras = known & ~kept, len(survey.center)
+        accepted = fewer
+    out, cameras = known & ~accepted, len(survey.center)
     return survey.without(out[:cameras], out[cameras:]) if bool(out.any()) else survey
 
 
