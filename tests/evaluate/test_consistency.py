@@ -135,3 +135,20 @@ def test_no_focal_length_is_named_where_the_images_do_not_show_one(survey):
     (found,) = contradictions(replace(survey.scene(with_points=True), assessment=assessment), survey.capture)
     assert found.code == "intrinsics_contradict"
     assert "that are far shorter, but 667 px are stated, 75 degrees" in found.message
+
+
+def test_a_wish_for_another_focal_length_that_is_no_more_than_vague_hides_nothing_else(survey):
+    scene = replace(survey.scene(with_points=True), assessment=Assessment(wished={"focal": (0.6, 0.3)}))
+    down = survey.capture.down_in_cam.clone()
+    down[1] = down[1].roll(1)
+
+    assert _codes(scene, replace(survey.capture, down_in_cam=down)) == ["gravity_contradicts"]
+
+
+def test_errors_that_observations_have_in_common_excuse_gravity(survey):
+    scene = survey.scene(with_points=True)
+    turned = replace(survey.capture, down_in_cam=survey.capture.down_in_cam.roll(1, dims=1))
+    wide = torch.full((scene.views.num_registered,), 2.0, dtype=torch.float64)
+
+    assert "gravity_contradicts" in _codes(scene, turned)
+    assert _codes(replace(scene, assessment=Assessment(common_tilt=wide)), turned) == []

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchrefrac.scene import Capture, Finding, Scene, WarningCode
 from torchrefrac.sfm.focal import GROSS
-from torchrefrac.sfm.gravity import contradicted_gravity
+from torchrefrac.sfm.gravity import contradicted_gravity, with_common_tilt
 from torchrefrac.sfm.heights import fit_heights
 from torchrefrac.sfm.vertical import angle_between
 
@@ -42,7 +42,7 @@ def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     """All of them, those first that others may follow from. `scene`: what came out, with its assessment; `stated`: what
     went in, the same views in the same order."""
     given, about_files = about_given(scene), (*_damaged(stated), *_duplicates(stated))
-    if abs(scene.assessment.wished.get("focal", (0.0, 0.0))[0]) > GROSS:
+    if _lens_is_grossly_wrong(scene):
         return (*given, *about_files)  # what else is wrong follows from that
     if scene.index_ratio > 1.0:
         about_water = (*_outside_water(scene, stated), *([] if given else _surface(scene)))
@@ -55,9 +55,7 @@ def about_given(scene: Scene) -> tuple[Finding, ...]:
     if scene.index_ratio <= 1.0:
         return tuple(_unmodelled(scene))
     intrinsics = _intrinsics(scene)
-    if intrinsics and abs(scene.assessment.wished["focal"][0]) > GROSS:
-        return tuple(intrinsics)
-    return (*_levels(scene), *intrinsics, *_water(scene))
+    return tuple(intrinsics) if _lens_is_grossly_wrong(scene) else (*_levels(scene), *intrinsics, *_water(scene))
 
 
 def about_images(scene: Scene) -> tuple[Finding, ...]:
@@ -101,10 +99,7 @@ def _gravity(scene: Scene, stated: Capture) -> list[Finding]:
             "heights and depths may be off by some percent, slopes by as much; measure down_in_cam"
         )
         return [Finding(WarningCode.GRAVITY_UNDETERMINED, message)]
-    sigma = stated.down_sigma.clone()
-    if (common := scene.assessment.common_tilt) is not None:
-        sigma[scene.views.registered] = torch.hypot(sigma[scene.views.registered], common)
-    wrong = contradicted_gravity(scene, stated.down_in_cam, sigma)
+    wrong = contradicted_gravity(scene, stated.down_in_cam, with_common_tilt(scene, stated.down_sigma))
     names = named(scene.views.names, wrong)
     if not names:
         return []
@@ -180,6 +175,12 @@ def _weak_images(scene: Scene) -> list[Finding]:
         )
         for i in weak.nonzero()[:, 0].tolist()
     ]
+
+
+def _lens_is_grossly_wrong(scene: Scene) -> bool:
+    """Whether the focal lengths are, beyond doubt, so far off that nothing else can be judged."""
+    step, sigma = scene.assessment.wished.get("focal", (0.0, 1.0))
+    return scene.index_ratio > 1.0 and abs(step) > max(SURE * sigma, GROSS)
 
 
 def _intrinsics(scene: Scene) -> list[Finding]:

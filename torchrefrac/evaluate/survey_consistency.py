@@ -6,7 +6,7 @@ from torch import Tensor
 
 from torchrefrac.evaluate.consistency import about_given, about_images, listed, named
 from torchrefrac.scene import Finding, Scene, Survey, WarningCode
-from torchrefrac.sfm.gravity import contradicted_gravity
+from torchrefrac.sfm.gravity import contradicted_gravity, with_common_tilt
 from torchrefrac.sfm.positions import Disagreement, of_centers, of_control
 from torchrefrac.sfm.vertical import angle_between
 
@@ -22,7 +22,7 @@ def survey_contradictions(scene: Scene, survey: Survey, used: Survey) -> tuple[F
 def _gravity(scene: Scene, survey: Survey) -> list[Finding]:
     down = torch.zeros_like(scene.views.center).index_copy(0, survey.down_image, survey.down_in_cam)
     sigma = torch.full_like(down[:, 0], torch.inf).index_copy(0, survey.down_image, survey.down_sigma)
-    wrong = contradicted_gravity(scene, down, sigma)
+    wrong = contradicted_gravity(scene, down, with_common_tilt(scene, sigma))
     names = named(scene.views.names, wrong)
     if not names:
         return []

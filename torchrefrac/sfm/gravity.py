@@ -54,6 +54,15 @@ def contradicted_gravity(
     return _off(scene, down_in_cam, down_sigma) > unlikely(int(known.sum()))
 
 
+def with_common_tilt(scene: Scene, down_sigma: Float[Tensor, " m"]) -> Float[Tensor, " m"]:
+    """Errors that verticals may have, radians: those of gravity, and what errors that observations have in common do to
+    the registered views of a finished scene, as its assessment says."""
+    common, registered = scene.assessment.common_tilt, scene.views.registered
+    if common is None:
+        return down_sigma
+    return torch.hypot(down_sigma, torch.zeros_like(down_sigma).masked_scatter(registered, common))
+
+
 def worst_gravity(
     scene: Scene, down_in_cam: Float[Tensor, "m 3"], down_sigma: Float[Tensor, " m"]
 ) -> Bool[Tensor, " m"]:
