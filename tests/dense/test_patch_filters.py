@@ -8,7 +8,7 @@ import torch
 
 from tests.dense.planted_patches import patches_at, patches_shown
 from tests.dense.rendered_scenes import Board, cameras_around, marble, render
-from torchrefrac.dense.fusion import supported, unobstructing, votes
+from torchrefrac.dense.fusion import ISLAND, of_surfaces, supported, unobstructing, votes
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.rays import PixelRays
 
@@ -84,6 +84,27 @@ def test_patches_far_from_all_others_are_taken_away(lattice):
     lonely = _raised(plane, torch.arange(0, len(plane), 40), 30.0)
 
     keep = supported(Patches.together([plane, lonely]), CELL)
+
+    assert keep[: len(plane)].all()
+    assert not keep[len(plane) :].any()
+
+
+def test_islands_in_a_plane_of_their_own_are_taken_away(lattice):
+    plane, block = lattice(), (torch.arange(5)[:, None] * 30 + torch.arange(5)).flatten()
+    island = _raised(plane, block, 30.0)
+    every = Patches.together([plane, island])
+
+    keep = of_surfaces(every, CELL)
+
+    assert keep[: len(plane)].all()
+    assert not keep[len(plane) :].any()
+
+
+def test_islands_are_all_there_is_where_nothing_is_larger(lattice):
+    plane = lattice()[torch.arange(ISLAND - 4)]
+    beside = _raised(lattice(), torch.arange(300, 305), 30.0)
+
+    keep = of_surfaces(Patches.together([plane, beside]), CELL)
 
     assert keep[: len(plane)].all()
     assert not keep[len(plane) :].any()

@@ -13,7 +13,7 @@ from torchrefrac.camera import RefractiveCamera
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.dense.common_errors import common_deviation
 from torchrefrac.dense.filling import METHODS, fill_views
-from torchrefrac.dense.fusion import THICKNESS, fuse, supported, unobstructing
+from torchrefrac.dense.fusion import THICKNESS, fuse, of_surfaces, supported, unobstructing
 from torchrefrac.dense.images import Images, photographs
 from torchrefrac.dense.media import PartOfStore, media_of
 from torchrefrac.dense.neighbours import Neighbourhood, find_neighbours
@@ -91,6 +91,7 @@ def _surface(
         patches = patches[unobstructing(patches, cameras, options.cell)]
         advance(1, "lonely patches")
         patches = patches[supported(patches, options.cell)]
+        patches = patches[of_surfaces(patches, options.cell)]
         advance(1, f"{len(patches)} patches")
     return patches
 

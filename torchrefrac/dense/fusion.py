@@ -1,11 +1,13 @@
 """The patches of views that were each filled on their own as one surface, and which of these contradict others: they
-hide what is seen through them, or stand alone (PMVS's filters)."""
+hide what is seen through them, or stand alone, one or few (PMVS's filters)."""
 
 from dataclasses import replace
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor
 
@@ -16,6 +18,7 @@ from torchrefrac.dense.rays import depth_in
 SAME_REACH = 3.0  # cells within which the patch of another view must lie to be the same
 NEAREST = 12  # patches around one that it is judged by
 REACH = 4.0  # cells within which these must lie
+ISLAND = 30  # patches; fewer that hang together, away from all others, are a mistake that grew
 THICKNESS = 4.0  # footprints within which two patches in one line of sight are the same surface
 
 
@@ -91,16 +94,34 @@ def supported(patches: Patches, cell: int) -> Bool[Tensor, " n"]:
     count = len(patches)
     if count <= NEAREST:
         return torch.ones_like(patches.score, dtype=torch.bool)
-    points = patches.points.numpy()
-    distance, index = (np.asarray(found) for found in KDTree(points).query(points, k=NEAREST + 1, workers=1))
-    near = torch.from_numpy(distance[:, 1:]) < REACH * cell * patches.footprint[:, None]
-    index = torch.from_numpy(np.ascontiguousarray(index[:, 1:]))
+    index, near = _neighbours(patches, cell)
     offset = patches.points[index] - patches.points[:, None]
     tolerance = patches.thickness[:, None]
     theirs = (offset * patches.normals[index]).sum(dim=-1).abs()
     ours = (offset * patches.normals[:, None]).sum(dim=-1).abs()
     agree = near & (theirs < tolerance) & (ours < 2.0 * tolerance)
     return agree.sum(dim=1) > NEAREST // 2
+
+
+def of_surfaces(patches: Patches, cell: int) -> Bool[Tensor, " n"]:
+    """Which patches hang together with ISLAND others and more, or with as many as any do where all are fewer."""
+    count = len(patches)
+    if count <= NEAREST:
+        return torch.ones_like(patches.score, dtype=torch.bool)
+    index, near = _neighbours(patches, cell)
+    first, second = near.nonzero()[:, 0].numpy(), index[near].numpy()
+    graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(count, count))
+    island = torch.from_numpy(connected_components(graph, directed=False)[1].astype(np.int64))
+    size = torch.bincount(island)
+    return size[island] >= min(ISLAND, int(size.max()))
+
+
+def _neighbours(patches: Patches, cell: int) -> tuple[Int[Tensor, "n nearest"], Bool[Tensor, "n nearest"]]:
+    """The nearest others of each, and which of them are near."""
+    points = patches.points.numpy()
+    distance, index = (np.asarray(found) for found in KDTree(points).query(points, k=NEAREST + 1, workers=1))
+    near = torch.from_numpy(distance[:, 1:]) < REACH * cell * patches.footprint[:, None]
+    return torch.from_numpy(np.ascontiguousarray(index[:, 1:])), near
 
 
 def unobstructing(patches: Patches, cameras: RefractiveCamera, cell: int) -> Bool[Tensor, " n"]:

@@ -53,7 +53,10 @@ def evaluate(scene: Scene, truth: Truth) -> tuple[dict[str, float | int | str], 
     With UNIT the truth's length unit, after the alignment: camera_rms_UNIT, camera_max_UNIT, camera_rotation_rms_deg;
     surface_median_UNIT, surface_rms_UNIT, surface_p95_UNIT: of the points' distance to the nearest place of the true
     surface, where there is one; point_median_UNIT, point_rms_UNIT and flatness_UNIT of `point_metrics`, where the truth
-    has an index ratio and intrinsics, too. true_index_ratio: where the truth has it.
+    has an index ratio and intrinsics, too. camera_error_over_sigma, point_error_over_sigma: RMS of the distances, to
+    the true centre and to the true surface, over the standard deviation that the scene states for each (a camera's in
+    3D, a point's along the axis that is known worst), about 1 where these are honest. true_index_ratio: where the truth
+    has it.
     """
     known: dict[str, float | int | str] = {} if truth.index_ratio is None else {"true_index_ratio": truth.index_ratio}
     views = scene.views
@@ -75,6 +78,10 @@ def evaluate(scene: Scene, truth: Truth) -> tuple[dict[str, float | int | str], 
         f"camera_max_{unit}": float(distance.max()),
         "camera_rotation_rms_deg": rms(angle),
     }
+    sigma = scene.assessment.center_sigma
+    if sigma is not None:
+        of_registered = views.registered.cumsum(dim=0)[ours] - 1
+        metrics |= _over_sigma("camera", distance, 3.0**0.5 * alignment.scale * sigma[of_registered])
     true_surface = TrueSurface(truth)
     if true_surface.is_known and len(scene.points):
         gap = true_surface.distance(alignment.apply(scene.points))
@@ -83,6 +90,8 @@ def evaluate(scene: Scene, truth: Truth) -> tuple[dict[str, float | int | str], 
             f"surface_rms_{unit}": rms(gap),
             f"surface_p95_{unit}": float(gap.quantile(0.95)),
         }
+        if scene.assessment.point_sigma is not None:
+            metrics |= _over_sigma("point", gap, alignment.scale * scene.assessment.point_sigma)
         metrics |= point_metrics(scene, true_surface, alignment)
     return metrics, alignment
 
@@ -91,6 +100,12 @@ def evaluate_run(scene: Scene, truth: Truth | None) -> tuple[dict[str, Any], Sim
     """What `summarize` and, where the truth is known, `evaluate` say; and the alignment of the latter."""
     errors, alignment = ({}, None) if truth is None else evaluate(scene, truth)
     return summarize(scene) | errors, alignment
+
+
+def _over_sigma(name: str, error: Float[Tensor, " n"], sigma: Float[Tensor, " n"]) -> dict[str, float]:
+    """RMS of errors over their standard deviations, where these are known."""
+    known = sigma.isfinite() & (sigma > 0.0)
+    return {f"{name}_error_over_sigma": rms(error[known] / sigma[known])} if bool(known.any()) else {}
 
 
 def rms(values: Float[Tensor, "..."]) -> float:
