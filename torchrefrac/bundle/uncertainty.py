@@ -49,12 +49,14 @@ class Uncertainty:
     def growth(self) -> float:
         """By how much errors that observations have in common make the deviations of the centres larger: of the median
         view."""
+        independent = self.effective_sigma / self.pixel_sigma if self.pixel_sigma > 0.0 else 1.0
         if self.common is None:
-            return self.effective_sigma / self.pixel_sigma
+            return independent
         every = self.pose.diagonal(dim1=1, dim2=2)[:, 3:].sum(dim=-1)
         common = self.common.poses(self.layout.num_views)[..., 3:].square().sum(dim=-1).mean(dim=0)
-        common_growth = float((every / (every - common).clamp(min=1e-6 * every.max())).median().sqrt())
-        return common_growth * self.effective_sigma / self.pixel_sigma
+        others = (every - common).clamp(min=1e-6 * every.max())
+        common_growth = float((every[others > 0.0] / others[others > 0.0]).median().sqrt()) if others.any() else 1.0
+        return common_growth * independent
 
     @property
     def point_sigma(self) -> Float[Tensor, " n"]:

@@ -32,12 +32,15 @@ from torchrefrac.sfm import (
     UnknownVerticalError,
     VerifiedPair,
     better_focal,
+    errors_are_rough,
     errors_in_air_and_water,
     level_capture,
     reconstruct_sparse,
     verify_pairs,
     with_right_gravity,
 )
+
+ROUGH = "clearly more matches agree within sfm.rough_error, as over waves, which therefore takes the place of max_error"
 
 StageHook = Callable[[str, Any, float], None]
 
@@ -186,7 +189,7 @@ def _match(features: list[Features], options: Options, recorder: Recorder) -> li
 
 
 class _Verified(NamedTuple):
-    """The capture with gravity that can be used, the initialiser and its options, and what they verified."""
+    """The capture with gravity that can be used, the initialiser and its options, what they verified."""
 
     capture: Capture
     initializer: PoseInitializer
@@ -212,6 +215,10 @@ class _Verification:
             parts = self.matches, found.pairs, self.features
             right = with_right_gravity(capture, *parts, self.ratio, found.sfm, self.recorder)
             found = found if right is capture else self._with(right)
+            wide = RefractiveInitializer(found.capture, self.ratio, found.sfm.rough)
+            if errors_are_rough(self.matches, found.pairs, self.features, wide):
+                self.recorder.note(ROUGH)
+                found = self._with(found.capture, rough=True)
         if not found.pairs:
             least, most = self.options.sfm.min_pair_inliers, max(len(pair) for pair in self.matches)
             raise ReconstructionError(
@@ -220,8 +227,9 @@ class _Verification:
             )
         return found
 
-    def _with(self, capture: Capture) -> _Verified:
-        initializer, sfm = _initializer(capture, self.ratio, self.options, self.recorder)
+    def _with(self, capture: Capture, rough: bool = False) -> _Verified:
+        options = replace(self.options, sfm=self.options.sfm.rough) if rough else self.options
+        initializer, sfm = _initializer(capture, self.ratio, options, self.recorder)
         least, chance = self.options.sfm.min_pair_inliers, self.generator
         pairs = verify_pairs(self.matches, self.features, initializer, least, chance, self.recorder)
         return _Verified(capture, initializer, sfm, pairs)

@@ -30,8 +30,8 @@ class Assessment:
     these were known. center_sigma of registered views: of a coordinate, in length_unit; center_covariance: of the
     centres. All are relative to the cameras as a whole. surface_slope: root mean square slope of the water surface that
     the residuals show, radians, zero where they show none; surface_moves: whether it differs from image to image.
-    common_tilt: how far such errors make verticals of registered views uncertain, radians.
-    index_ratio_sigma: None where it was given.
+    common_tilt: how far such errors make verticals of registered views uncertain, radians; growth: by how much they
+    make standard deviations larger. index_ratio_sigma: None where it was given.
     determined: sentences about water, intrinsics and scale; fixed: what was to be refined, but is not determined, and
     why. wished: by how much "index_ratio" and the logarithm of the "focal" length, which were given, would change if
     the images had a say, and the standard deviations of these changes; of a grossly wrong focal length, that alone.
@@ -55,6 +55,7 @@ class Assessment:
     surface_slope: float = 0.0
     surface_moves: bool = False
     common_tilt: Float[Tensor, " r"] | None = None
+    growth: float = 1.0
     disputed: tuple[int, int] = (0, 0)
     levels: Float[Tensor, " m"] | None = None
     stopped_after: int | None = None

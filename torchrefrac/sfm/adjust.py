@@ -31,6 +31,8 @@ GIVEN: tuple[Given, ...] = ("index_ratio", "focal")
 EFFICIENT, CAREFUL = 2.0, 2.0
 """Times the noise: where the loss bends, and what weighs pixels against measurements, because errors of keypoints of
 one track are not quite independent."""
+OUTLYING = 4.0
+"""Standard deviations of a component that one right observation in 3000 errs by."""
 FINEST = 0.02
 """Pixels; no keypoint is known better."""
 ENOUGH = 1e-6
@@ -120,6 +122,15 @@ def with_noise_found(bundle: BundleOptions, report: BundleReport) -> BundleOptio
     )
 
 
+def with_errors_found(rules: Rules, report: BundleReport, least: float | None) -> Rules:
+    """Rules for what comes after an adjustment that shows how large errors are: observations may err by as many
+    deviations as next to no right one does, but by no less than `least` pixels (None: as now) and no more than now."""
+    length = report.problem.squared_errors(report.scene).sqrt()
+    if least is None or not len(length):
+        return rules
+    return replace(rules, max_error=min(rules.max_error, max(OUTLYING * typical_deviation(length), least)))
+
+
 def assess_scene(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Assessment:
     """How well everything is determined; fixed: what an adjustment refused to refine. Empty where nothing is known."""
     part = scene.part()
@@ -151,7 +162,7 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
     nothing is said but what was fixed."""
     try:
         known = uncertainty(problem, scene)
-        found = determinations(problem, scene, known.pixel_sigma) if scene.index_ratio > 1.0 else []
+        found = determinations(problem, scene, known.growth * known.pixel_sigma) if scene.index_ratio > 1.0 else []
     except SingularError:
         return Assessment(fixed=fixed)
     centers = known.pose[:, 3:, 3:]
@@ -169,4 +180,5 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         surface_slope=0.0 if known.common is None else known.common.slope,
         surface_moves=known.common is not None and known.common.moving_slope > known.common.still_slope,
         common_tilt=None if known.common is None else known.common.tilt(len(scene.views)),
+        growth=known.growth,
     )

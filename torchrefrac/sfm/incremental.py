@@ -12,7 +12,15 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, Part, Scene
-from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess_scene, common_tilt, with_noise_found
+from torchrefrac.sfm.adjust import (
+    Journal,
+    Steps,
+    adjust,
+    assess_scene,
+    common_tilt,
+    with_errors_found,
+    with_noise_found,
+)
 from torchrefrac.sfm.dry_points import disputed, find_dry, same_dry, stated_sides, with_dry
 from torchrefrac.sfm.filter_points import affordable_length, filter_points
 from torchrefrac.sfm.frame import final_frame, fix_frame
@@ -63,7 +71,7 @@ def reconstruct_sparse(
     with recorder.meter(1, "assessing", "") as advance:
         scene = fix_frame(scene, capture)
         growth.show(scene)
-        rules = replace(growth.rules, bundle=growth.final_bundle)
+        rules = growth.final
         assessment = assess_scene(scene, rules, growth.fixed)
         sides = growth.sides(scene)
         if sides is not None:
@@ -83,7 +91,7 @@ class _Growth:
         self.failures: dict[str, str] = {}
         self.fixed: dict[str, str] = {}
         self.stopped_after: int | None = None
-        self.final_bundle = rules.bundle
+        self.final = rules  # with the noise and the errors that the last adjustment has shown
         self._refused: dict[int, int] = {}  # views that could not be registered, and the points they saw then
         self.journal = Journal(recorder)
 
@@ -149,7 +157,7 @@ class _Growth:
         for _ in range(self.options.final_rounds if scene.index_ratio > 1.0 else 0):
             wrong = worst_gravity(scene, self.capture.down_in_cam, self.down_sigma)
             if bool(wrong.any()):  # unless errors that observations have in common explain it
-                known = replace(self.rules, bundle=self.final_bundle)
+                known = replace(self.rules, bundle=self.final.bundle)
                 sigma = torch.hypot(self.down_sigma, common_tilt(scene, known, self.fixed))
                 wrong = worst_gravity(scene, self.capture.down_in_cam, sigma)
             if not bool(wrong.any()):
@@ -158,7 +166,7 @@ class _Growth:
             most = 2 * int((unknown & scene.views.registered).sum()) > scene.views.num_registered
             self.down_sigma = torch.where(unknown | most, torch.inf, self.down_sigma)
             scene = self._converged(scene, rules)
-        return self._with_dry(scene, rules)
+        return self._with_dry(scene, replace(rules, max_error=self.final.max_error))
 
     def _with_dry(self, scene: Scene, rules: Rules) -> Scene:
         """With those points seen straight that are, and everything adjusted to that, until no more are found."""
@@ -186,7 +194,8 @@ class _Growth:
                 self._record(scene, outcome)
                 if outcome.report is not None:
                     rules = replace(rules, bundle=with_noise_found(self.rules.bundle, outcome.report))
-        self.final_bundle = rules.bundle
+                    rules = with_errors_found(rules, outcome.report, self.options.least_error)
+        self.final = replace(self.rules, bundle=rules.bundle, max_error=rules.max_error)
         return self._filter(scene, rules)
 
     def _filter(self, scene: Scene, rules: Rules) -> Scene:

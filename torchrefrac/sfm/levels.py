@@ -47,7 +47,7 @@ def with_levels(assessment: Assessment, scene: Scene, rules: Rules, fixed: Mappi
         difference = higher[others].mean() - higher[~others].mean()
         if not _are_apart(higher, others, difference, part.scene.views.center[:, 2].mean()):
             return assessment
-        covariance = sigma**2 * Covariance.of(linearized.system).reduced
+        covariance = (assessment.growth * sigma) ** 2 * Covariance.of(linearized.system).reduced
     except SingularError:
         return assessment
     contrast = torch.where(others, 1.0 / others.sum(), -1.0 / (~others).sum()).to(step)

@@ -1,7 +1,7 @@
 """By what the steps of a reconstruction go, and the options that people set."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import torch
@@ -21,7 +21,7 @@ MAX_ERROR = Range(above=0.0, at_most=1e6)
 SFM_RANGES = {
     **dict.fromkeys(("min_pair_inliers", "min_registration_inliers"), Range(at_least=1, at_most=1_000_000)),
     **dict.fromkeys(("min_initial_angle_deg", "min_angle_deg"), Range(at_least=0.0, at_most=180.0)),
-    "max_error": MAX_ERROR,
+    **dict.fromkeys(("max_error", "least_error", "rough_error"), MAX_ERROR),
     "min_track_length": Range(at_least=2, at_most=1_000_000),
     "global_growth": Range(at_least=1.0, at_most=1e6),
     "final_rounds": Range(at_least=0, at_most=1000),
@@ -68,8 +68,9 @@ class SfmOptions:
     ransac.max_error is the error of a match or point at a good pose: gravity's own error is part of the pose.
     min_pair_inliers: fewer verified matches make no pair.
     min_initial_angle_deg: median angle between the rays of the initial pair. min_angle_deg: of an accepted point.
-    max_error: of an accepted observation. min_track_length: images that must see a final point (2 where only 2
-    are registered). global_growth: adjust everything whenever the number of images has grown by this factor.
+    max_error: of an accepted observation. least_error: what that may come down to once an adjustment shows how large
+    errors are; None: it stays. rough_error: see `rough`. min_track_length: images that must see a final point (2 where
+    only 2 are registered). global_growth: adjust everything whenever the number of images has grown by this factor.
     """
 
     ransac: RansacOptions = field(default_factory=lambda: RansacOptions(max_samples=8192))
@@ -79,12 +80,24 @@ class SfmOptions:
     min_initial_angle_deg: float = 5.0
     min_angle_deg: float = 1.5
     max_error: float = 4.0
+    least_error: float | None = None
+    rough_error: float = 16.0
     min_track_length: int = 3
     global_growth: float = 1.1
     final_rounds: int = 3
 
     def __post_init__(self) -> None:
         require_ranges(self, SFM_RANGES)
+
+    @property
+    def rough(self) -> "SfmOptions":
+        """For observations that err by more than max_error and by up to rough_error, as over waves."""
+        return replace(
+            self,
+            ransac=replace(self.ransac, max_error=max(self.ransac.max_error, self.rough_error)),
+            max_error=max(self.max_error, self.rough_error),
+            least_error=self.max_error,
+        )
 
     def rules(
         self, poses: PoseInitializer, measurements: Measurements = nothing_measured, seed: int | torch.Generator = 0

@@ -14,6 +14,10 @@ from torchrefrac.sfm.pose import PairPose, PoseInitializer
 BY_CHANCE = 0.005
 """Share of the matches that agree, of further ones that do if nothing is bent, which wrong matches stay far below."""
 
+MORE_AGREE, SHOWN_BY = 1.1, 3
+"""Times as many matches that agree within a wide limit as within the usual one, in so many of the pairs in which most
+do not: errors are larger than noise then. Wrong matches alone are spread too wide for that."""
+
 
 @dataclass(frozen=True)
 class VerifiedPair:
@@ -22,6 +26,22 @@ class VerifiedPair:
     pair: PairMatches
     pose: PairPose
     num_putative: int
+
+
+def errors_are_rough(
+    pairs: Sequence[PairMatches],
+    verified: Sequence[VerifiedPair],
+    features: Sequence[Features],
+    wide: PoseInitializer,
+) -> bool:
+    """Whether clearly more matches agree on the poses that `wide`, with a wider limit of errors, finds: the water is
+    not flat, or something else is not as it was stated."""
+    left_over = sorted(verified, key=lambda one: len(one.pair) - one.num_putative)[:SHOWN_BY]
+    chosen = {(one.pair.first, one.pair.second): len(one.pair) for one in left_over}
+    generator = torch.Generator().manual_seed(0)
+    found = (_relative(wide, pair, features, generator) for pair in pairs if (pair.first, pair.second) in chosen)
+    agree = sum(0 if pose is None else int(pose.inliers.sum()) for pose in found)
+    return agree > MORE_AGREE * sum(chosen.values())
 
 
 def verify_pairs(
@@ -42,9 +62,7 @@ def verify_pairs(
     for step, pair in enumerate(recorder.track(pairs, len(pairs), "verifying", "pair")):
         if len(pair) < min_inliers:
             continue
-        first = features[pair.first].pixels[pair.matches[:, 0]]
-        second = features[pair.second].pixels[pair.matches[:, 1]]
-        pose = initializer.relative((pair.first, pair.second), (first, second), generator)
+        pose = _relative(initializer, pair, features, generator)
         count = int(pose.inliers.sum()) if pose is not None else 0
         recorder.scalar("verification/inliers", count, step)
         recorder.scalar("verification/inlier_ratio", count / len(pair), step)
@@ -59,3 +77,11 @@ def verify_pairs(
         replace(one, pair=replace(one.pair, matches=torch.cat((one.pair.matches, more))))
         for one, more in zip(verified, others, strict=True)
     ]
+
+
+def _relative(
+    initializer: PoseInitializer, pair: PairMatches, features: Sequence[Features], generator: torch.Generator
+) -> PairPose | None:
+    first = features[pair.first].pixels[pair.matches[:, 0]]
+    second = features[pair.second].pixels[pair.matches[:, 1]]
+    return initializer.relative((pair.first, pair.second), (first, second), generator)
