@@ -2,6 +2,8 @@
 
 import csv
 import json
+import math
+import re
 import shutil
 
 import numpy as np
@@ -113,6 +115,20 @@ def test_a_river_s_bed_is_reconstructed_with_its_satellite_positions(run):
     assert found["registered_images"] == found["images"] == 22
     assert found["camera_rms_m"] < 0.03
     assert found["point_median_m"] < 0.03
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moving", [False, True])
+def test_steep_waves_are_named_and_make_everything_as_uncertain_as_it_is(run, moving):
+    slope = 0.03
+    found = run("scene=tank", f"scene.waves.rms_slope={slope}", f"scene.waves.moving={moving}", FEWER)
+
+    assert [warning["code"] for warning in found["warnings"]] == ["surface_not_flat"]
+    named = float(re.search(r"slope of ([\d.]+) degrees", found["warnings"][0]["message"]).group(1))
+    assert 1 / 1.5 < math.radians(named) / slope < 1.5
+    assert found["registered_images"] == found["images"] == 12
+    assert found["camera_error_over_sigma"] < 2.0
+    assert found["point_error_over_sigma"] < 2.0
 
 
 @pytest.mark.slow

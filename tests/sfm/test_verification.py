@@ -7,7 +7,7 @@ import torch
 from torchrefrac.features import PairMatches
 from torchrefrac.geometry import Rigid
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.sfm import PairPose, verify_pairs
+from torchrefrac.sfm import PairPose, SfmOptions, errors_are_rough, verify_pairs
 from torchrefrac.sfm.pose import judge_pair
 
 
@@ -46,6 +46,35 @@ def test_matches_that_agree_if_seen_straight_are_kept_where_they_are_many(survey
         )
         rows = [*range(25), *range(len(pair) - 20, len(pair))][:kept]
         assert torch.equal(verified.pair.matches, pair.matches[rows])
+
+
+def test_errors_are_rough_where_clearly_more_matches_agree_within_a_wider_limit(survey_of, generator):
+    survey = survey_of(cameras=3)
+    matches, features = survey.pairs(), survey.features()
+    verified = verify_pairs(matches, features, Agreeing(20), 20, generator, SilentRecorder())
+
+    for agreeing, rough in ((None, False), (20, False), (22, False), (23, True)):
+        assert errors_are_rough(matches, verified, features, Agreeing(agreeing)) is rough
+
+
+def test_those_pairs_show_whether_errors_are_rough_in_which_most_matches_do_not_agree(survey_of, generator):
+    survey = survey_of(cameras=4)
+    matches, features = survey.pairs(), survey.features()
+    verified = verify_pairs(matches, features, Agreeing(20), 20, generator, SilentRecorder())
+    left = [len(one) - 20 for one in matches]
+    wide = Agreeing(100)
+
+    errors_are_rough(matches, verified, features, wide)
+
+    asked = {images for images, _ in wide.asked}
+    most = sorted(range(len(matches)), key=lambda i: -left[i])[:3]
+    assert asked == {(matches[i].first, matches[i].second) for i in most}
+
+
+def test_rough_options_take_the_larger_limit_and_remember_the_smaller():
+    rough = SfmOptions(max_error=3.0, rough_error=12.0).rough
+    assert (rough.max_error, rough.ransac.max_error, rough.least_error) == (12.0, 12.0, 3.0)
+    assert SfmOptions(max_error=20.0).rough.max_error == 20.0
 
 
 def test_matches_of_dry_points_are_told_from_those_that_agree_through_water(survey_of):
