@@ -152,7 +152,7 @@ def test_outliers_of_the_clouds_own_errors_take_no_part_in_the_rms(truth, draw):
     assert found["dense_plane_inliers"] == pytest.approx(len(kept) / 4000)
     assert found["dense_plane_rms_cm"] == pytest.approx(np.sqrt(np.mean(kept**2)))
     assert found["dense_plane_rms_cm"] == pytest.approx(0.05, rel=0.05)
-    assert found["dense_error_over_sigma"] == pytest.approx(1.0, rel=0.05)
+    assert found["dense_error_over_sigma"] == pytest.approx(float((errors / 0.05).square().mean().sqrt()), rel=0.05)
 
 
 def test_each_plane_has_its_own_rms(truth, draw):

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchrefrac.evaluate.metrics import rms
+from torchrefrac.evaluate.metrics import over_sigma, rms
 from torchrefrac.evaluate.true_surface import TrueSurface, distance_to_each_rectangle
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene.dense import DenseCloud
@@ -52,12 +52,12 @@ def evaluate_dense(
     - dense_completeness_within_T_UNIT: share of `seen`, true surface points in the truth's frame that should be
       there (see `textured_points`), with a point of the cloud nearer than T;
     - dense_surface_median_UNIT, dense_surface_p95_UNIT: of the distance to the nearest place of it;
+    - dense_error_over_sigma: RMS, over all points, of that distance over the point's sigma, about 1 where sigma is
+      honest; sigma is along the axis that is known worst, so that less says nothing against it;
     - dense_plane_rms_UNIT: RMS distance to the nearest true plane over the inliers, those within 3 robust standard
       deviations (1.4826 times the median error) of this cloud's own errors; dense_plane_inliers, their share;
       dense_plane_rms_each_UNIT, the same for each plane (None where no inlier lies nearest to it); beside a mesh, only
-      points take part whose nearest place of the surface lies on a plane;
-    - dense_error_over_sigma: RMS over the inliers of that distance over the point's sigma, about 1 where sigma is
-      honest; sigma is along the axis that is known worst, so that less says nothing against it.
+      points take part whose nearest place of the surface lies on a plane.
 
     What is not defined is left out: accuracy without points or a true surface, what is of
     planes without any, completeness without `seen`.
@@ -70,9 +70,10 @@ def evaluate_dense(
         metrics |= {f"dense_accuracy_within_{t:g}_{unit}": float((distance < t).double().mean()) for t in within}
         metrics[f"dense_surface_median_{unit}"] = _quantile(distance, 0.5)
         metrics[f"dense_surface_p95_{unit}"] = _quantile(distance, 0.95)
+        metrics |= over_sigma("dense", distance, alignment.scale * cloud.sigma)
         flat = surface.nearest_is_plane(points, distance)
         if flat.any():
-            metrics |= _plane_metrics(points[flat], alignment.scale * cloud.sigma[flat], truth)
+            metrics |= _plane_metrics(points[flat], truth)
     if seen is not None and len(seen):
         gap = _distance_to_nearest(seen, points, max(within))
         metrics |= {f"dense_completeness_within_{t:g}_{unit}": float((gap < t).double().mean()) for t in within}
@@ -92,21 +93,17 @@ def signed_plane_distance(points: Float[Tensor, "n 3"], truth: Truth) -> tuple[F
     return ((points - truth.corner[nearest]) * normal[nearest]).sum(dim=-1), nearest
 
 
-def _plane_metrics(points: Float[Tensor, "n 3"], sigma: Float[Tensor, " n"], truth: Truth) -> Metrics:
-    """Of points in the truth's frame, with their standard deviations."""
+def _plane_metrics(points: Float[Tensor, "n 3"], truth: Truth) -> Metrics:
+    """Of points in the truth's frame."""
     signed, plane = signed_plane_distance(points, truth)
     size = signed.abs()
     inlier = size <= INLIER_SIGMAS * MAD_TO_SIGMA * _quantile(size, 0.5)
     each = [signed[inlier & (plane == index)] for index in range(len(truth.corner))]
-    metrics: Metrics = {
+    return {
         f"dense_plane_rms_{truth.length_unit}": rms(signed[inlier]),
         f"dense_plane_rms_each_{truth.length_unit}": [rms(values) if len(values) else None for values in each],
         "dense_plane_inliers": float(inlier.double().mean()),
     }
-    known = inlier & (sigma > 0.0)
-    if known.any():
-        metrics["dense_error_over_sigma"] = rms(signed[known] / sigma[known])
-    return metrics
 
 
 def _distance_to_nearest(

@@ -81,7 +81,7 @@ def evaluate(scene: Scene, truth: Truth) -> tuple[dict[str, float | int | str], 
     sigma = scene.assessment.center_sigma
     if sigma is not None:
         of_registered = views.registered.cumsum(dim=0)[ours] - 1
-        metrics |= _over_sigma("camera", distance, 3.0**0.5 * alignment.scale * sigma[of_registered])
+        metrics |= over_sigma("camera", distance, 3.0**0.5 * alignment.scale * sigma[of_registered])
     true_surface = TrueSurface(truth)
     if true_surface.is_known and len(scene.points):
         gap = true_surface.distance(alignment.apply(scene.points))
@@ -91,7 +91,7 @@ def evaluate(scene: Scene, truth: Truth) -> tuple[dict[str, float | int | str], 
             f"surface_p95_{unit}": float(gap.quantile(0.95)),
         }
         if scene.assessment.point_sigma is not None:
-            metrics |= _over_sigma("point", gap, alignment.scale * scene.assessment.point_sigma)
+            metrics |= over_sigma("point", gap, alignment.scale * scene.assessment.point_sigma)
         metrics |= point_metrics(scene, true_surface, alignment)
     return metrics, alignment
 
@@ -102,7 +102,7 @@ def evaluate_run(scene: Scene, truth: Truth | None) -> tuple[dict[str, Any], Sim
     return summarize(scene) | errors, alignment
 
 
-def _over_sigma(name: str, error: Float[Tensor, " n"], sigma: Float[Tensor, " n"]) -> dict[str, float]:
+def over_sigma(name: str, error: Float[Tensor, " n"], sigma: Float[Tensor, " n"]) -> dict[str, float]:
     """RMS of errors over their standard deviations, where these are known."""
     known = sigma.isfinite() & (sigma > 0.0)
     return {f"{name}_error_over_sigma": rms(error[known] / sigma[known])} if bool(known.any()) else {}
