@@ -30,7 +30,7 @@ def rational(x: Part, y: Part, coefficients: Sequence[Part]) -> tuple[Part, Part
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     if denominator:
-        radial = radial / _denominator(r2, denominator).clamp(min=LEAST_DENOMINATOR)
+        radial = radial * _denominator(r2, denominator).clamp(min=LEAST_DENOMINATOR).reciprocal()
     xy2 = 2.0 * x * y
     return (x * radial + p1 * xy2 + p2 * (r2 + 2.0 * x * x), y * radial + p2 * xy2 + p1 * (r2 + 2.0 * y * y))
 
