@@ -83,10 +83,12 @@ class Cameras:
         """The intrinsics of views with the cameras `camera` (*B) as a batch (*B); not batched where there is one camera
         for all. With as many coefficients of distortion as any camera needs: none, five or eight, and `coefficients` at
         least."""
-        row = 0 if len(self) == 1 else camera
+        row, sizes = 0 if len(self) == 1 else camera, None
         width, height = (max(numbers) for numbers in zip(*self.sizes, strict=True))
-        same = len(set(self.sizes)) == 1
-        sizes = None if same else self.focal.new_tensor(self.sizes)[row]
+        if len(set(self.sizes)) > 1:
+            sizes = self.focal.new_tensor(self.sizes)[row]
+            if sizes.dim() == 1:  # a single view, which is no batch
+                (width, height), sizes = self.sizes[int(row)], None
         fisheye = self.fisheye[row] if FISHEYE in self.models else None
         distortion = self.distortion[row][..., : max(coefficients, self.coefficients)]
         return Intrinsics(

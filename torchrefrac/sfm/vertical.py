@@ -102,7 +102,8 @@ def verticals_of_pairs(
     for step, pair in enumerate(recorder.track(pairs, len(pairs), "levelling", "pair")):
         limits = options.ransac.max_error, options.min_pair_inliers
         planes = image_planes(capture, features, pair)
-        found = find_verticals(*planes, capture.intrinsics.focal, index_ratio, *limits)
+        focal = capture.intrinsics_of([pair.first, pair.second]).focal
+        found = find_verticals(*planes, focal, index_ratio, *limits)
         recorder.scalar("levelling/inliers", int(found.inliers.sum()), step)
         if found.status == "success":
             solved.append((pair, found))
@@ -144,10 +145,10 @@ def carry_over(
 ) -> None:
     """Fill in, from image to image, the verticals whose sigma is infinite, by the first pairs that can."""
     left = list(pairs)
-    threshold = options.ransac.max_error / float(capture.intrinsics.focal.mean())
     while bridges := [pair for pair in left if sigma[[pair.first, pair.second]].isinf().sum() == 1]:
         pair = bridges[0]
         left.remove(pair)
+        threshold = options.ransac.max_error / capture.typical_focal(pair.first, pair.second)
         found = pinhole_rotation(*image_planes(capture, features, pair), threshold)
         if found is None or int(found[1].sum()) < options.min_pair_inliers:
             continue
@@ -162,8 +163,9 @@ def image_planes(
     capture: Capture, features: Sequence[Features], pair: PairMatches
 ) -> tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]]:
     """Ideal image coordinates of the matches in both images."""
-    one, two = (features[i].pixels[pair.matches[:, k]] for k, i in enumerate((pair.first, pair.second)))
-    return capture.intrinsics.plane_from_pixels(one), capture.intrinsics.plane_from_pixels(two)
+    images = pair.first, pair.second
+    one, two = capture.planes(images, [features[i].pixels[pair.matches[:, k]] for k, i in enumerate(images)])
+    return one, two
 
 
 def angle_between(one: Float[Tensor, "*#batch 3"], two: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch"]:
