@@ -1,4 +1,4 @@
-"""The embedded scene as several cameras would have taken it: some of its photographs at half their size, some turned."""
+"""The embedded scene as several cameras would have taken it: some photographs at half their size, some turned."""
 
 import json
 from pathlib import Path

@@ -27,7 +27,8 @@ class Cameras:
     distortion: the coefficients that a camera has, then zeros; models: "opencv" or "fisheye". Expected errors of what
     is stated, as standard deviations, zero where it counts as exact: focal_sigma, of both focal lengths by the same
     factor, relative; principal_point_sigma, of each coordinate, pixels; distortion_sigma, of each coefficient. By
-    default all models are "opencv", all is exact, and the names are numbers.
+    default all models are "opencv", all is exact, and the names are numbers. stated: what the errors are expected of,
+    where the numbers have been changed since; None: of these.
     """
 
     sizes: tuple[tuple[int, int], ...]
@@ -39,6 +40,7 @@ class Cameras:
     focal_sigma: Float[Tensor, " f"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
     principal_point_sigma: Float[Tensor, " f"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
     distortion_sigma: Float[Tensor, " f"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
+    stated: "Cameras | None" = None
 
     def __post_init__(self) -> None:
         count = len(self.sizes)
@@ -95,6 +97,14 @@ class Cameras:
             width, height, self.focal[row], self.principal_point[row], distortion, fisheye, sizes, check=False
         )
 
+    def label(self, camera: int) -> str:
+        """Of which camera something is, where there are several."""
+        return f" of {self.names[camera]}" if len(self) > 1 else ""
+
+    def sigma_of(self, name: str) -> Float[Tensor, " g"]:
+        """Expected errors of "focal", "principal_point", or "distortion"."""
+        return getattr(self, f"{name}_sigma")
+
     @property
     def are_uncertain(self) -> bool:
         """Whether anything stated of any camera is expected to err."""
@@ -122,9 +132,14 @@ class Cameras:
     ) -> "Cameras":
         """With other numbers, of which so many `coefficients` of distortion, or as many as before, may differ from
         zero: nothing has to wait for a look at them."""
-        moved = replace(self, focal=focal, principal_point=principal_point, distortion=distortion)
+        numbers = {"focal": focal, "principal_point": principal_point, "distortion": distortion}
+        moved = replace(self, **numbers, stated=self.stated or self)
         moved.__dict__["coefficients"] = max(coefficients, self.coefficients)
         return moved
+
+    def exact(self) -> "Cameras":
+        """The same without doubt: nothing of them varies in an adjustment by itself."""
+        return replace(self, stated=None, **{name: torch.zeros_like(getattr(self, name)) for name in SIGMAS})
 
     def detached(self) -> "Cameras":
         """The same without a graph."""
