@@ -146,7 +146,7 @@ class Scene:
     def create(
         cls,
         pose: Rigid,
-        intrinsics: Intrinsics | Sequence[Intrinsics],
+        intrinsics: Intrinsics | Sequence[Intrinsics] | Cameras,
         interfaces: Interfaces,
         points: Float[Tensor, "n 3"],
         observations: Observations,
@@ -164,7 +164,7 @@ class Scene:
         device, count = points.device, len(points)
         white = torch.full((count, 3), 255, dtype=torch.uint8, device=device)
         scene = cls(
-            cameras=Cameras.of((intrinsics,) if isinstance(intrinsics, Intrinsics) else intrinsics),
+            cameras=_table(intrinsics),
             views=Views.posed(pose, names, camera, interface),
             interfaces=interfaces,
             points=points,
@@ -382,6 +382,12 @@ class Part(NamedTuple):
     scene: Scene
     view: Int[Tensor, " k"]
     point: Int[Tensor, " p"]
+
+
+def _table(intrinsics: Intrinsics | Sequence[Intrinsics] | Cameras) -> Cameras:
+    if isinstance(intrinsics, Cameras):
+        return intrinsics
+    return Cameras.of((intrinsics,) if isinstance(intrinsics, Intrinsics) else intrinsics)
 
 
 def reprojection_errors(

@@ -34,8 +34,9 @@ def final_frame(scene: Scene, capture: Capture) -> Similarity:
     measured = capture.has_height[registered]
     scale, lift = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
     if refractive:
-        found, wanted = center[measured, 2], capture.height[registered][measured]
-        scale = fit_heights(found, wanted).scale if bool(measured.any()) else 1.0 / center[0, 2]
+        rows = registered[measured]
+        stated = capture.height[rows], capture.height_sigma[rows]
+        scale = fit_heights(center[measured, 2], *stated).scale if len(rows) else 1.0 / center[0, 2]
     else:
         lift = torch.where(measured[0], capture.height[first], 1.0) - center[0, 2]
     shift = torch.stack((-center[0, 0], -center[0, 1], lift))
@@ -50,9 +51,11 @@ def transformed(scene: Scene, change: Similarity) -> Scene:
 
 
 def _level(scene: Scene, capture: Capture, registered: Int[Tensor, " r"]) -> Float[Tensor, "3 3"]:
-    """Rotation of the world that takes the mean measured gravity to (0, 0, -1): the shortest, after half a turn about x
-    where the world stands on its head.
+    """Rotation of the world that takes the mean measured gravity (the mean optical axis, where none of the registered
+    views has any) to (0, 0, -1): the shortest, after half a turn about x where the world stands on its head.
     """
+    known = registered[capture.down_sigma[registered].isfinite()]
+    registered = known if len(known) else registered
     rotation = scene.views.rotation[registered]
     down = (rotation.mT @ capture.down_in_cam[registered][..., None])[..., 0].mean(dim=0)
     flip = down.new_tensor((1.0, -1.0, -1.0))
