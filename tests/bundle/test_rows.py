@@ -179,3 +179,18 @@ def _assert_rows_of_autograd(planted, state, rows_of, refine):
     expected = jacobian_of(lambda at: errors_of(at, seen).flatten(), layout, state)
     size = expected.abs().amax(dim=0).clamp(min=1.0)
     assert_matches(dense_jacobian(layout, seen, rows) / size, expected / size, slack=100.0)
+
+
+@every_loss
+def test_noise_divides_errors_before_the_loss_sees_them(plant, disturb, rows_of, draw, loss):
+    planted = plant(points=8)
+    state, noise = disturb(planted.truth), draw.uniform(0.5, 4.0, len(planted.observations))
+    noisy = replace(planted, observations=replace(planted.observations, noise=noise))
+    options = {"loss": loss, "loss_scale": 0.3}
+
+    rows, cost = rows_of(noisy, state, ("focal",), **options)
+
+    plain, _ = rows_of(planted, state, ("focal",), loss="squared")
+    rho, weight = robust((plain[:, -1] / noise).square().sum(dim=0), loss, 0.3)
+    torch.testing.assert_close(rows, plain * (weight.sqrt() / noise))
+    torch.testing.assert_close(cost, 0.5 * rho.sum())

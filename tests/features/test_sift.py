@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from torchrefrac.features import SiftOptions, extract_sift
+from torchrefrac.features.sift import _distinct
 
 SIZE, SPACING = 640, 40
 
@@ -68,8 +69,9 @@ def test_squared_descriptors_are_proportional_to_opencvs(write_image, blobs):
 
     features = extract_sift(write_image(image), SiftOptions())
 
-    _, plain = cv2.SIFT.create(nfeatures=8192, enable_precise_upscale=True).detectAndCompute(image, None)
-    expected = torch.from_numpy(plain / plain.sum(axis=1, keepdims=True))
+    keypoints, plain = cv2.SIFT.create(enable_precise_upscale=True).detectAndCompute(image, None)
+    order = sorted(range(len(keypoints)), key=lambda i: (-keypoints[i].size, -keypoints[i].response))
+    expected = torch.from_numpy(plain / plain.sum(axis=1, keepdims=True))[order]
     torch.testing.assert_close(features.descriptors.square(), expected, rtol=1e-4, atol=1e-6)
 
 
@@ -84,9 +86,20 @@ def test_colours_are_red_green_blue_at_the_keypoint(write_image, blobs):
     assert torch.equal(features.colors, torch.from_numpy(bgr[..., ::-1].copy())[row, column])
 
 
-def test_about_as_many_as_asked_for_are_kept(write_image, blobs):
-    """OpenCV keeps all orientations of the last keypoint."""
-    assert 20 <= len(extract_sift(write_image(blobs[0]), SiftOptions(max_features=20))) < 30
+def _keypoints(*sizes_and_contrasts):
+    """Of three layers to an octave, as OpenCV finds them."""
+    return [cv2.KeyPoint(0.0, 0.0, size, 0.0, contrast / 3.0) for size, contrast in sizes_and_contrasts]
+
+
+def test_of_more_than_are_wanted_the_largest_are_taken_also_fainter_ones():
+    many = _keypoints((1.8, 0.5), (1.8, 0.3), (3.6, 0.045), (3.6, 0.021), (3.6, 0.019), (50.0, 0.011), (50.0, 0.009))
+
+    def sizes(count):
+        chosen = _distinct(many, SiftOptions(max_features=count), 0.0)
+        return [(round(each.size, 1), round(3.0 * each.response, 3)) for each in chosen]
+
+    assert sizes(3) == [(3.6, 0.045), (1.8, 0.5), (1.8, 0.3)]
+    assert sizes(2) == [(50.0, 0.011), (3.6, 0.045)]
 
 
 def test_a_blank_image_has_no_features(write_image):

@@ -1,9 +1,12 @@
 """Tracks joined from matches."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from torchrefrac.features import Features, PairMatches, build_tracks
+from torchrefrac.features.sift import SMALLEST
 
 
 def _features(*counts):
@@ -13,6 +16,7 @@ def _features(*counts):
             torch.tensor([[k, i] for k in range(count)], dtype=torch.float64).reshape(-1, 2),
             torch.zeros(count, 128),
             torch.tensor([[i, k, 0] for k in range(count)], dtype=torch.uint8).reshape(-1, 3),
+            2.0 + torch.arange(count, dtype=torch.float64),
         )
         for i, count in enumerate(counts)
     ]
@@ -113,3 +117,15 @@ def test_an_image_without_features_takes_no_part():
     tracks = build_tracks(_features(2, 0, 2), [_pair(0, 1), _pair(0, 2, (0, 1))])
 
     assert _as_sets(tracks) == [[(0, 0), (2, 1)]]
+
+
+def test_small_keypoints_are_expected_to_err_alike_and_large_ones_by_a_share_of_their_size():
+    small, large = (SMALLEST, 2.0 * SMALLEST), (40.0, 80.0)
+    features = [replace(each, size=torch.tensor((*small, *large)).double()) for each in _features(4, 4)]
+
+    seen, _ = build_tracks(features, [_pair(0, 1, (0, 0), (1, 1), (2, 2), (3, 3))])
+
+    noise = seen.noise[seen.view == 0]
+    assert noise[0] == pytest.approx(1.0)
+    assert 1.0 < noise[1] < 1.5
+    assert noise[3] / noise[2] == pytest.approx(2.0, rel=0.02)

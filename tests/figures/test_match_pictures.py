@@ -149,7 +149,7 @@ def verified(first, second, count):
 
 def features(image):
     pixels = torch.stack((torch.arange(30.0), torch.full((30,), 50.0 + image)), dim=-1).double()
-    return Features(pixels, torch.zeros(30, 128), torch.zeros(30, 3, dtype=torch.uint8))
+    return Features(pixels, torch.zeros(30, 128), torch.zeros(30, 3, dtype=torch.uint8), torch.ones(30).double())
 
 
 def test_the_best_pairs_are_shown_of_which_none_shares_an_image_where_that_is_possible(photographed, monkeypatch):

@@ -49,7 +49,7 @@ class Survey:
     def features(self) -> list[Features]:
         """The observations of each view as its keypoints."""
         return [
-            Features(seen.pixels, torch.zeros(len(seen), 128), self.colors[seen.point])
+            Features(seen.pixels, torch.zeros(len(seen), 128), self.colors[seen.point], torch.ones(len(seen)).double())
             for seen in (self.seen[self.seen.view == view] for view in range(len(self.capture)))
         ]
 

@@ -73,20 +73,22 @@ class CommonErrors:
 @dataclass(frozen=True)
 class _Kind:
     """Fields over `place`, one for each group of observations. by_value: derivative of pixels in the gradient that the
-    field is; None for a field of pixels. extent: what cells are parts of."""
+    field is; None for a field of pixels. precision: one over the noise of the pixels, by which errors are divided.
+    extent: what cells are parts of."""
 
     place: Float[Tensor, "k 2"]
     group: Int[Tensor, " k"]
     extent: float
+    precision: Float[Tensor, "*k"]
     by_value: Float[Tensor, "k 2 2"] | None = None
 
     def draw(self, part: float, generator: torch.Generator) -> Float[Tensor, "2 k"]:
-        """Pixel errors by a field of variance one that changes over half a cell."""
+        """Pixel errors over their noise by a field of variance one that changes over half a cell."""
         length = 0.5 * self.extent / part
         if self.by_value is None:
-            return random_shift(self.place, self.group, length, generator)
+            return random_shift(self.place, self.group, length, generator) * self.precision
         gradient = random_gradient(self.place, self.group, length, generator)
-        return torch.einsum("kis,sk->ik", self.by_value, gradient)
+        return torch.einsum("kis,sk->ik", self.by_value, gradient) * self.precision
 
     @cached_property
     def cells(self) -> list[Int[Tensor, " k"]]:
@@ -115,7 +117,8 @@ class _Kind:
             yield segment_sum_columns(values, cell, int(cell.max()) + 1).square().sum() - alone
 
     def _scores(self, residuals: Float[Tensor, "2 k"]) -> Float[Tensor, "2 k"]:
-        return residuals if self.by_value is None else torch.einsum("kis,ik->sk", self.by_value, residuals)
+        precise = residuals * self.precision
+        return precise if self.by_value is None else torch.einsum("kis,ik->sk", self.by_value, precise)
 
 
 def common_errors(
@@ -152,7 +155,8 @@ def common_errors(
 def _kinds(problem: BundleProblem, scene: Scene) -> tuple[_Kind, ...]:
     """Errors of the lens; of a surface that stands still, and of one that moves, where there is one."""
     seen, views = problem.seen, scene.views
-    lens = _Kind(seen.pixels, views.camera[seen.view], float(max(width for width, _ in scene.cameras.sizes)))
+    widest, precision = float(max(width for width, _ in scene.cameras.sizes)), seen.precision
+    lens = _Kind(seen.pixels, views.camera[seen.view], widest, precision)
     if not scene.interfaces.refract():
         return (lens,)
     slope = surface_slope(scene, seen)
@@ -160,8 +164,8 @@ def _kinds(problem: BundleProblem, scene: Scene) -> tuple[_Kind, ...]:
     extent = _extent(slope.place[wet], seen.view[wet], len(views))
     if extent <= 0.0:
         return (lens,)
-    still = _Kind(slope.place, views.interface[seen.view], extent, slope.by_slope)
-    return lens, still, _Kind(slope.place, seen.view, extent, slope.by_slope)
+    still = _Kind(slope.place, views.interface[seen.view], extent, precision, slope.by_slope)
+    return lens, still, _Kind(slope.place, seen.view, extent, precision, slope.by_slope)
 
 
 def _extent(place: Float[Tensor, "k 2"], view: Int[Tensor, " k"], views: int) -> float:

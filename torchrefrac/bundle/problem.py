@@ -96,12 +96,13 @@ class BundleProblem:
         return replace(self, plan=plan, layout=layout, options=options, terms=tuple(terms), gauge=gauge)
 
     def squared_errors(self, scene: Scene) -> Float[Tensor, " possible"]:
-        """Squared reprojection errors of the possible observations, square pixels."""
+        """Squared reprojection errors over their noise of the possible observations, square pixels."""
         square = torch.cat([self.errors(scene, seen).square().sum(dim=0) for seen in (self.seen, self.seen_reduced)])
         return square[square > 0.0]
 
     def errors(self, scene: Scene, seen: Observations) -> Float[Tensor, "2 k"]:
-        """Projections minus pixels of some of the observations, by the root of their weights, zero where impossible."""
+        """Projections minus pixels over their noise of some of the observations, by the root of their weights, zero
+        where impossible."""
         return observation_rows(replace(self.rows_of, loss="squared"), scene, seen)[0][:, -1]
 
     @property

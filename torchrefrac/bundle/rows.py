@@ -75,9 +75,9 @@ def observation_rows(
     """Rows, weighted, and the cost of the observations `seen`, which need not be those of the scene.
 
     Per observation: derivatives in the pose (rotation, centre), in the intrinsics, in the water, in the point; the
-    residual (projection minus pixel). The loss is of the reprojection error, and weighted as a whole. An impossible
-    observation (behind the camera, say) weighs nothing and costs as much as one that is IMPOSSIBLE_PX off. out: where
-    to write the rows, if its shape is theirs.
+    residual (projection minus pixel), all over the noise of the pixel. The loss is of the reprojection error over its
+    noise, and weighted as a whole. An impossible observation (behind the camera, say) weighs nothing and costs as much
+    as one that is IMPOSSIBLE_PX off. out: where to write the rows, if its shape is theirs.
     """
     shape = (2, model.layout.size, len(seen))
     rows = out if out is not None and out.shape == shape else seen.pixels.new_empty(shape)
@@ -99,7 +99,7 @@ def observation_rows(
 def differentiable_rows(
     model: RowModel, scene: Scene, seen: Observations
 ) -> tuple[Float[Tensor, "2 unknowns k"], Float[Tensor, "2 k"]]:
-    """Derivatives and residuals, not weighted, zero where impossible; with a graph."""
+    """Derivatives and residuals over their noise, not weighted, zero where impossible; with a graph."""
     rows, _ = _rows(replace(model, loss="squared"), *_gathered(model, scene, seen))
     return rows[:, :-1], rows[:, -1]
 
@@ -123,6 +123,7 @@ def _gathered(model: RowModel, scene: Scene, seen: Observations) -> tuple[Mask, 
         interfaces.index_ratio[0],
         interfaces.normal[interface],
         offset if scene.dry is None else without_water(offset, scene.dry[seen.point]),
+        seen.precision,
     )
 
 
@@ -144,6 +145,7 @@ def _parts(
     index_ratio: Float[Tensor, ""],
     normal: Float[Tensor, "*interface 3"],
     offset: Float[Tensor, "*place"],
+    precision: Float[Tensor, "*precision"],
 ) -> tuple[list[list[Float[Tensor, " k"]]], Float[Tensor, " k"]]:
     """The rows of u and those of v, and rho."""
     intrinsics = Intrinsics(1, 1, focal, principal_point, distortion, fisheye, check=False)
@@ -152,10 +154,10 @@ def _parts(
     wanted = (*POSE, "point", *blocks)
     pixel, valid, by = projection_parts(intrinsics, rotation, center, points, interface, wanted, model.frozen_ratio)
     residual = pixel[0] - pixels[:, 0], pixel[1] - pixels[:, 1]
-    square = torch.addcmul(residual[0] * residual[0], residual[1], residual[1])
+    square = torch.addcmul(residual[0] * residual[0], residual[1], residual[1]) * precision.square()
     rho, weight = robust(square, model.loss, model.loss_scale)
     impossible, _ = robust(square.new_tensor(IMPOSSIBLE_PX**2), model.loss, model.loss_scale)
-    root = torch.where(valid, weight.sqrt(), 0.0)
+    root = torch.where(valid, weight.sqrt() * precision, 0.0)
     axes = []
     for axis in (0, 1):
         parts = [part for name in POSE for part in by[name][axis]]

@@ -30,22 +30,17 @@ def match(
     """
     if len(descriptors1) < 1 or len(descriptors2) < 2:
         return torch.zeros(0, 2, dtype=torch.long, device=descriptors1.device)
-    count = len(descriptors2)
-    best_row = torch.zeros(count, dtype=torch.long, device=descriptors1.device)
-    best_score = descriptors1.new_full((count,), -torch.inf)
+    best = descriptors1.new_full((len(descriptors2),), -torch.inf)
     similar, nearest = [], []
     for start in range(0, len(descriptors1), CHUNK):
         similarity = descriptors1[start : start + CHUNK] @ descriptors2.T
         top = similarity.topk(2, dim=-1)
         similar.append(top.values)
         nearest.append(top.indices[:, 0])
-        score, row = similarity.max(dim=0)
-        better = score > best_score
-        best_score = torch.where(better, score, best_score)
-        best_row = torch.where(better, row + start, best_row)
-    target = torch.cat(nearest)
-    squared_distance = (2.0 - 2.0 * torch.cat(similar)).clamp(min=0.0)
+        best = torch.maximum(best, similarity.amax(dim=0))  # much cheaper than to ask where it is, too
+    target, similarity = torch.cat(nearest), torch.cat(similar)
+    squared_distance = (2.0 - 2.0 * similarity).clamp(min=0.0)
     distinct = squared_distance[:, 0] < options.ratio**2 * squared_distance[:, 1]
     rows = torch.arange(len(descriptors1), device=descriptors1.device)
-    mutual = distinct & (best_row[target] == rows)
+    mutual = distinct & (similarity[:, 0] == best[target])
     return torch.stack((rows[mutual], target[mutual]), dim=-1)

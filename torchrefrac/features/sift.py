@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from torchrefrac.checks import Range, require_ranges
@@ -16,6 +16,8 @@ from torchrefrac.files.photographs import read_color
 PIXELS_A_KEYPOINT = 1000  # with fewer keypoints than one for as many pixels an image is searched for fainter ones,
 ENOUGH = 300  # unless it has as many
 FAINTEST = 0.125  # share of the contrast threshold that is gone down to
+FAINTEST_LARGE = 0.25  # the same for large keypoints of images that have more than enough
+SMALLEST = 1.8  # diameter of the smallest keypoints, pixels
 REACH = 2.5  # diameters; three standard deviations of the widest blur that a keypoint is found in
 
 RANGES = {
@@ -28,7 +30,7 @@ RANGES = {
 
 @dataclass(frozen=True)
 class SiftOptions:
-    """OpenCV's SIFT parameters; max_features: the strongest.
+    """OpenCV's SIFT parameters; max_features: the largest, and then also fainter ones among these.
 
     contrast_threshold: halved, and again, for an image in which hardly anything comes up to it.
     """
@@ -44,11 +46,12 @@ class SiftOptions:
 
 @dataclass(frozen=True)
 class Features:
-    """Keypoints of one image, with unit descriptors and RGB colours."""
+    """Keypoints of one image, with unit descriptors, RGB colours and their diameters, pixels."""
 
     pixels: Float[Tensor, "k 2"]
     descriptors: Float[Tensor, "k 128"]
     colors: UInt8[Tensor, "k 3"]
+    size: Float[Tensor, " k"]
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -66,41 +69,44 @@ def extract_sift(path: Path, options: SiftOptions, used: Bool[Tensor, "height wi
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     share = 1.0 if used is None else float(used.double().mean())
     enough = min(share * grey.size / PIXELS_A_KEYPOINT, ENOUGH, options.max_features)
-    threshold = options.contrast_threshold
-    keypoints, descriptors = _detect(grey, options, threshold, used)
-    while len(keypoints) < enough and threshold > FAINTEST * options.contrast_threshold:
-        threshold /= 2.0
-        keypoints, descriptors = _detect(grey, options, threshold, used)
+    sift = cv2.SIFT.create(
+        nOctaveLayers=options.octave_layers,
+        contrastThreshold=FAINTEST * options.contrast_threshold,
+        edgeThreshold=options.edge_threshold,
+        enable_precise_upscale=True,
+    )
+    found = sift.detect(grey, None)
+    if used is not None:
+        found = _usable(found, used, grey)
+    keypoints, descriptors = sift.compute(grey, _distinct(found, options, enough))
+    if not len(keypoints):
+        descriptors = np.zeros((0, 128), dtype=np.float32)
     column, row = _nearest_pixels(keypoints, grey)
     colors = image[row, column, ::-1]
     return Features(
         pixels=torch.from_numpy(_positions(keypoints)) + 0.5,
         descriptors=_root_sift(torch.from_numpy(descriptors)),
         colors=torch.from_numpy(np.ascontiguousarray(colors)),
+        size=torch.tensor([keypoint.size for keypoint in keypoints], dtype=torch.float64),
     )
 
 
-def _detect(
-    grey: UInt8[np.ndarray, "height width"],
-    options: SiftOptions,
-    threshold: float,
-    used: Bool[Tensor, "height width"] | None,
-) -> tuple[Sequence[cv2.KeyPoint], Float32[np.ndarray, "k 128"]]:
-    """The strongest keypoints with a contrast above the threshold, and their descriptors."""
-    sift = cv2.SIFT.create(
-        nfeatures=options.max_features if used is None else 0,
-        nOctaveLayers=options.octave_layers,
-        contrastThreshold=threshold,
-        edgeThreshold=options.edge_threshold,
-        enable_precise_upscale=True,
-    )
-    if used is None:
-        keypoints, descriptors = sift.detectAndCompute(grey, None)  # type: ignore[call-overload]
-    else:
-        keypoints = _usable(sift.detect(grey, None), used, grey)
-        keypoints.sort(key=lambda keypoint: -keypoint.response)
-        keypoints, descriptors = sift.compute(grey, keypoints[: options.max_features])
-    return keypoints, descriptors if len(keypoints) else np.zeros((0, 128), dtype=np.float32)
+def _distinct(keypoints: Sequence[cv2.KeyPoint], options: SiftOptions, enough: float) -> list[cv2.KeyPoint]:
+    """Those that come up to the threshold, which is lowered for an image that has not `enough` otherwise.
+
+    Where these are more than are wanted, the largest, which are found again most often, and among them fainter ones:
+    noise of pixels is averaged over a keypoint, so that what it makes of them falls with their size.
+    """
+    size = np.array([keypoint.size for keypoint in keypoints])
+    contrast = options.octave_layers * np.array([keypoint.response for keypoint in keypoints])
+    threshold = options.contrast_threshold
+    while (distinct := contrast >= threshold).sum() < enough and threshold > FAINTEST * options.contrast_threshold:
+        threshold /= 2.0
+    if distinct.sum() > options.max_features:
+        distinct = contrast >= threshold * np.maximum(SMALLEST / size, FAINTEST_LARGE)
+    rows = distinct.nonzero()[0]
+    rows = rows[np.lexsort((-contrast[rows], -size[rows]))]
+    return [keypoints[row] for row in rows[: options.max_features]]
 
 
 def _usable(

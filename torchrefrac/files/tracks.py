@@ -15,20 +15,21 @@ from torchrefrac.scene.scene import require_index
 
 TRACKS = "tracks.npz"
 ARRAYS = {"names": "U:m", "image": "i:k", "point": "i:k", "pixels": "n:k2", "points": "n:n3", "colors": "c:n3"}
-DRY = "dry"
+DRY, NOISE = "dry", "noise"
 COVARIANCES = ("point_covariance", "relative_covariance")
 
 
 def write_tracks(scene: Scene, path: str | Path) -> None:
     """Write the points of a finished scene, their colours and observations, and the names of its views, as a NumPy
-    archive; which points are dry, where any are; and their covariances, where they are known (float32)."""
+    archive; which points are dry, where any are; the relative noise of pixels and the covariances of points, where they
+    are known (float32)."""
     seen = scene.observations
     tensors = (seen.view, seen.point, seen.pixels, scene.points, scene.colors)
     arrays = (np.array(scene.views.names, dtype=np.str_), *(value.detach().cpu().numpy() for value in tensors))
     dry = {} if scene.dry is None else {DRY: scene.dry.cpu().numpy()}
-    known = {name: getattr(scene.assessment, name) for name in COVARIANCES}
-    covariances = {name: value.float().cpu().numpy() for name, value in known.items() if value is not None}
-    write_arrays(dict(zip(ARRAYS, arrays, strict=True)) | dry | covariances, path)
+    known = {name: getattr(scene.assessment, name) for name in COVARIANCES} | {NOISE: seen.noise}
+    floats = {name: value.float().cpu().numpy() for name, value in known.items() if value is not None}
+    write_arrays(dict(zip(ARRAYS, arrays, strict=True)) | dry | floats, path)
 
 
 def read_scene(folder: str | Path) -> Scene:
@@ -64,7 +65,7 @@ def read_run(folder: str | Path) -> Scene:
         if not (folder / name).is_file():
             raise SceneError(f"{folder} holds no {name}, which a run has; reconstruct again, or name its run folder")
     cameras, path = read_cameras(folder / CAMERAS), folder / TRACKS
-    optional = {DRY: "b:n", **dict.fromkeys(COVARIANCES, "n:n33")}
+    optional = {DRY: "b:n", NOISE: "n:k", **dict.fromkeys(COVARIANCES, "n:n33")}
     wanted = {**ARRAYS, **optional}
     found = read_arrays(path, wanted, lambda problem: SceneError(f"{problem}; reconstruct again"), optional=optional)
     names = found.pop("names").tolist()
@@ -81,13 +82,16 @@ def read_run(folder: str | Path) -> Scene:
     row = torch.tensor([number.get(name, -1) for name in names])
     try:
         require_index(image, "image", len(names))
-        scene = cameras.with_points(points, colors, Observations(row[image].clamp(min=0), point, pixels))
+        noise = torch.from_numpy(found[NOISE]) if NOISE in found else None
+        scene = cameras.with_points(points, colors, Observations(row[image].clamp(min=0), point, pixels, noise=noise))
         known = {name: torch.from_numpy(found[name]) for name in COVARIANCES if name in found}
         dry = torch.from_numpy(found[DRY]) if DRY in found else None
         scene = replace(scene, dry=dry, assessment=replace(scene.assessment, **known))
         scene.check()
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
+    if noise is not None and not bool((noise.isfinite() & (noise > 0.0)).all()):
+        raise SceneError(f"{path}: noise must be finite and above 0; reconstruct again")
     unknown = image[row[image] < 0]
     if len(unknown):
         name = names[int(unknown[0])]

@@ -223,13 +223,15 @@ class Observations:
     """Points `point` seen in views `view` at `pixels`, each point at most once in a view.
 
     Those of one point are its track. Where they are part of a `Scene`, `point` ascends. weight: of each squared
-    residual, by default 1.
+    residual, by default 1. noise: how large errors of the pixels are expected to be, relative to each other, by default
+    1; losses are of errors over noise.
     """
 
     view: Int[Tensor, " k"]
     point: Int[Tensor, " k"]
     pixels: Float[Tensor, "k 2"]
     weight: Float[Tensor, " k"] | None = None
+    noise: Float[Tensor, " k"] | None = None
 
     @classmethod
     def none(cls) -> "Observations":
@@ -242,15 +244,20 @@ class Observations:
 
     def __getitem__(self, rows: Shaped[Tensor, " j"] | slice) -> "Observations":
         """Some of them, by a mask or by their numbers."""
-        weight = None if self.weight is None else self.weight[rows]
-        return Observations(self.view[rows], self.point[rows], self.pixels[rows], weight)
+        weight, noise = (None if values is None else values[rows] for values in (self.weight, self.noise))
+        return Observations(self.view[rows], self.point[rows], self.pixels[rows], weight, noise)
 
     @property
     def weights(self) -> Float[Tensor, " k"]:
         """weight, or ones."""
         return torch.ones_like(self.pixels[:, 0]) if self.weight is None else self.weight
 
+    @property
+    def precision(self) -> Float[Tensor, "*k"]:
+        """1 / noise, or 1 for all."""
+        return self.pixels.new_ones(()) if self.noise is None else 1.0 / self.noise
+
     def detached(self) -> "Observations":
         """The same without a graph."""
-        weight = None if self.weight is None else self.weight.detach()
-        return replace(self, pixels=self.pixels.detach(), weight=weight)
+        weight, noise = (None if values is None else values.detach() for values in (self.weight, self.noise))
+        return replace(self, pixels=self.pixels.detach(), weight=weight, noise=noise)
