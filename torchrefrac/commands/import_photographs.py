@@ -1,0 +1,258 @@
+"""From a memory card to a capture: photographs, what their files say, and what else is known, into capture.json."""
+
+import hashlib
+import os
+import shutil
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from torchrefrac.commands.results import OutRefusedError
+from torchrefrac.config.importing import ImportOptions
+from torchrefrac.files.fields import read_json, write_json
+from torchrefrac.files.metadata.camera_file import lens_for
+from torchrefrac.files.metadata.content import Water, capture_content
+from torchrefrac.files.metadata.gathered import SKY, Gathered, gather, relative_names
+from torchrefrac.files.metadata.grouping import by_camera, camera_names
+from torchrefrac.files.metadata.kinds import left_out_by_kind
+from torchrefrac.files.metadata.lens import GUESSED_SIGMA, Lens, centered
+from torchrefrac.files.metadata.listing import Listing, common_folder, list_photographs
+from torchrefrac.files.metadata.photograph import Photograph, read_photograph
+from torchrefrac.files.metadata.placing import Placement, place_all
+from torchrefrac.files.metadata.position import Vertical
+from torchrefrac.files.metadata.quality import look_at, useless
+from torchrefrac.files.metadata.table import Row, read_table
+from torchrefrac.files.metadata.times import odd_times
+from torchrefrac.files.paths import real_path
+from torchrefrac.files.swap import PARTIAL, alone, finish, remove_if_empty, swap
+from torchrefrac.recorder import Recorder
+from torchrefrac.scene.capture import CaptureError
+
+CAPTURE, REPORT = "capture.json", "import.json"
+REPORT_FORMAT = "torchrefrac-import/1"
+FOCAL_BY_USER_SIGMA = 0.02
+
+
+class _Selection(NamedTuple):
+    """The photographs that are used, and why others are not, by their paths."""
+
+    photographs: list[Photograph]
+    left_out: dict[Path, str]
+
+
+def import_photographs(options: ImportOptions, recorder: Recorder) -> dict[str, Any]:
+    """Write capture.json and import.json into the folder `out`; returns what the latter says: what was found of which
+    photographs, and where.
+
+    Photographs stay where they are, and nothing is written among them. A capture.json that import wrote, and that
+    nobody has changed since, is replaced as a whole. Raises CaptureError where there are fewer than two photographs
+    that can be used or something stated cannot be right, OutRefusedError where `out` holds another capture.json or lies
+    among the photographs.
+    """
+    out = real_path(options.out)
+    is_new = not out.exists()
+    out.mkdir(parents=True, exist_ok=True)
+    try:
+        with alone(out):
+            finish(out)
+            earlier, place = _earlier_files(out), out / PARTIAL
+            shutil.rmtree(place, ignore_errors=True)
+            place.mkdir()
+            try:
+                report = _import_into(place, out, options, recorder)
+                swap(place, earlier)
+            finally:
+                shutil.rmtree(place, ignore_errors=True)
+    finally:
+        if is_new:
+            remove_if_empty(out, out.parent)
+    return report
+
+
+def _earlier_files(out: Path) -> list[str]:
+    """The files of an earlier import into `out`. Raises OutRefusedError where there is a capture.json of somebody
+    else."""
+    capture, report = out / CAPTURE, out / REPORT
+    if not capture.exists():
+        return []
+    refused = OutRefusedError(
+        f"{capture} was not written by import, or has been changed since; name another folder as out, or remove it"
+    )
+    if not report.is_file():
+        raise refused
+    try:
+        top = read_json(report)
+        if top.text("capture_sha256", "none") != _digest(capture.read_bytes()):
+            raise refused
+        return [name for name in top.texts("files") if ".." not in Path(name).parts and not Path(name).is_absolute()]
+    except CaptureError:
+        raise refused from None
+
+
+def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recorder) -> dict[str, Any]:
+    listing = list_photographs(options.sources, out)
+    selection = _select(listing, options, recorder)
+    photographs = selection.photographs
+    folder = common_folder(one.path for one in photographs)
+    _require_apart(out, photographs)
+    names = relative_names([one.path for one in photographs], folder)
+    rows, crs = _rows(options, names)
+    cameras = camera_names(photographs, options.cameras)
+    sigma = options.position_sigma
+    gathered = gather(
+        photographs, names, rows, cameras, options.gravity_sigma_deg, None if sigma is None else (sigma[0], sigma[1])
+    )
+    lenses = by_camera([one.camera for one in gathered], [_lens(one.photograph, options) for one in gathered])
+    vertical = None if options.vertical == "auto" else Vertical[options.vertical.upper()]
+    placement = place_all([one.place for one in gathered], options.crs or crs, vertical)
+    water = Water(options.index_ratio, options.water_level, options.take_off_above_water)
+    content = capture_content(_folder_name(folder, out), gathered, lenses, placement, water)
+    write_json(content, place / CAPTURE)
+    left_out = {_shown(path, folder): reason for path, reason in selection.left_out.items()}
+    report: dict[str, Any] = {
+        "format": REPORT_FORMAT,
+        "capture_sha256": _digest((place / CAPTURE).read_bytes()),
+        "files": [CAPTURE, REPORT],
+        "out": str(out),
+        "folder": str(folder),
+        **_found(content, gathered, lenses, placement),
+        "left_out": left_out,
+        "notes": _notes(gathered, listing, options),
+    }
+    write_json(report, place / REPORT)
+    return report
+
+
+def _select(listing: Listing, options: ImportOptions, recorder: Recorder) -> _Selection:
+    left_out = {path: reason for path, reason in listing.others.items() if reason}
+    read: list[Photograph] = []
+    pictures = listing.pictures
+    for path in recorder.track(pictures, len(pictures), "reading", "photograph"):
+        try:
+            read.append(read_photograph(path))
+        except CaptureError as error:
+            left_out[path] = str(error).removeprefix(f"{path} ")
+    reasons = left_out_by_kind([one.kind for one in read])
+    left_out |= {one.path: reason for one, reason in zip(read, reasons, strict=True) if reason}
+    kept = [one for one, reason in zip(read, reasons, strict=True) if not reason]
+    if options.look:
+        reasons = useless(look_at([one.path for one in kept]))
+        left_out |= {one.path: reason for one, reason in zip(kept, reasons, strict=True) if reason}
+        kept = [one for one, reason in zip(kept, reasons, strict=True) if not reason]
+    if len(kept) < 2:
+        raise CaptureError(_too_few(options, kept, left_out, listing))
+    return _Selection(kept, left_out)
+
+
+def _too_few(options: ImportOptions, kept: Sequence[Photograph], left_out: Mapping[Path, str], listing: Listing) -> str:
+    where, count = ", ".join(options.sources), len(kept)
+    found = f"photos is {where}, where {count or 'no'} photograph{'' if count == 1 else 's'} can be used"
+    if listing.films and not listing.pictures:
+        return f"{found}; for the frames of a film name the file: photos={listing.films[0]}"
+    for path, reason in left_out.items():
+        return f"{found}, but a reconstruction needs two; left out {len(left_out)}, as {path.name}: {reason}"
+    return f"{found}, but a reconstruction needs two; name the folder with the photographs"
+
+
+def _require_apart(out: Path, photographs: Iterable[Photograph]) -> None:
+    for folder in {real_path(one.path.parent) for one in photographs}:
+        if out == folder or folder in out.parents:
+            raise OutRefusedError(f"out is {out}, where photographs lie; name a folder outside theirs")
+
+
+def _rows(options: ImportOptions, names: Sequence[str]) -> tuple[Sequence[Row | None], str | None]:
+    """Of each photograph what a table states, and the reference system that it names."""
+    if options.table is None:
+        return [None] * len(names), None
+    table = read_table(Path(options.table).expanduser())
+    return table.of(names), table.crs
+
+
+def _lens(photograph: Photograph, options: ImportOptions) -> Lens:
+    lens = photograph.lens
+    if options.camera is not None:
+        lens = lens_for(Path(options.camera).expanduser(), photograph.size)
+    elif options.focal_px is not None:
+        lens = replace(centered(options.focal_px, *photograph.size, FOCAL_BY_USER_SIGMA, "focal_px"),
+                       distortion=lens.distortion, distortion_source=lens.distortion_source)  # fmt: skip
+    return lens if options.focal_sigma is None else replace(lens, sigma=options.focal_sigma)
+
+
+def _folder_name(folder: Path, out: Path) -> str:
+    """Relative where both lie in one project, so that it can be moved; else absolute."""
+    beside = out.parent in (folder, *folder.parents)
+    return Path(os.path.relpath(folder, out)).as_posix() if beside else folder.as_posix()
+
+
+def _shown(path: Path, folder: Path) -> str:
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _found(
+    content: Mapping[str, Any], gathered: Sequence[Gathered], lenses: Mapping[str, Lens], placement: Placement
+) -> dict[str, Any]:
+    """How many photographs have what, by whose word."""
+    images = content["images"]
+    gravity = [one.attitude.source for one in gathered if one.attitude is not None and not one.looks_up]
+    placed = [one.place_source for one, known in zip(gathered, placement.known, strict=True) if known]
+    turned = [one.attitude.source for one, image in zip(gathered, images, strict=True)
+              if "heading_deg" in image and one.attitude is not None]  # fmt: skip
+    altitudes = placement.position[placement.known, 2] + placement.origin[2]
+    return {
+        "used": len(gathered),
+        "cameras": {
+            name: {
+                "photographs": sum(one.camera == name for one in gathered),
+                **{key: content["cameras"][name][key] for key in ("width", "height", "fx", "fy", "cx", "cy")},
+                "focal_sigma": lens.sigma,
+                "focal": lens.source,
+                "principal_point": lens.center_source,
+                "distortion": lens.distortion_source,
+            }
+            for name, lens in lenses.items()
+        },
+        "gravity": _counts(gravity),
+        "gravity_sigma_deg": content.get("down_in_cam_sigma_deg"),
+        "heading": _counts(turned),
+        "position": _counts(placed),
+        "position_sigma": content.get("position_sigma"),
+        "crs": placement.crs,
+        "origin": list(placement.origin),
+        "north_deg": round(float(placement.north_deg.mean()), 4),
+        "vertical": None if placement.vertical is None else str(placement.vertical),
+        "altitude_range": [float(altitudes.min()), float(altitudes.max())] if len(altitudes) else None,
+        "height": sum("height" in image for image in images),
+        "without_position": {gathered[i].name: reason for i, reason in placement.lacking.items()},
+    }
+
+
+def _counts(sources: Iterable[str]) -> dict[str, int]:
+    return dict(Counter(sources).most_common())
+
+
+def _notes(gathered: Sequence[Gathered], listing: Listing, options: ImportOptions) -> list[str]:
+    """What is odd, one sentence each."""
+    notes = [f"{one.name}: {note}" for one in gathered for note in one.photograph.notes]
+    notes += [f"{one.name}: {SKY}; that is not used" for one in gathered if one.looks_up]
+    bare = [one.name for one in gathered if not one.photograph.has_tags]
+    if bare:
+        several = f"{bare[0]} and {len(bare) - 1} others have" if len(bare) > 1 else f"{bare[0]} has"
+        notes.append(
+            f"{several} neither EXIF nor XMP: say what you know by camera= or focal_px=, and by a table "
+            "(gravity as down_x, down_y, down_z; height; x, y, z)"
+        )
+    guessed = [one for one in gathered if _lens(one.photograph, options).sigma >= GUESSED_SIGMA]
+    if guessed:
+        notes.append(
+            f"the focal length of {len(guessed)} photographs is a guess: calibrate the camera with `torchrefrac "
+            "calibrate`, or give focal_px="
+        )
+    if listing.films:
+        notes.append(f"{len(listing.films)} films are not used, as {listing.films[0].name}: name one as photos=FILM")
+    return notes + odd_times([one.photograph.time for one in gathered], [one.name for one in gathered])

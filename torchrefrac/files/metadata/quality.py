@@ -1,0 +1,64 @@
+"""Photographs that are of no use: blurred far beyond their neighbours, black, or burnt out."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from torchrefrac.parallel import side_by_side
+
+REDUCED = cv2.IMREAD_REDUCED_GRAYSCALE_2 | cv2.IMREAD_IGNORE_ORIENTATION
+BLACK, WHITE = 12.0, 250.0  # grey values below or above which nearly all of a useless photograph lies
+NEARLY_ALL = 99.0  # percent
+NEIGHBOURS = 4  # on either side, in the order of the names
+BLURRED = 0.3  # of its neighbours' sharpness; a footprint with little texture stays above half
+
+
+class Quality(NamedTuple):
+    """sharpness: share of its contrast that lies in the finest details, 0 to 1; dark and bright: grey values that
+    nearly all of it is below or above."""
+
+    sharpness: float
+    dark: float
+    bright: float
+
+
+def look_at(paths: Sequence[Path]) -> list[Quality]:
+    """Of photographs, read at half their size."""
+    return side_by_side(_quality, paths)
+
+
+def sharpness(grey: cv2.typing.MatLike) -> float:
+    """The share of the contrast of a grey image that is lost when neighbouring pixels are averaged."""
+    fine = grey.astype(np.float32)
+    smooth = cv2.GaussianBlur(fine, (0, 0), 1.0)
+    contrast = float(np.var(smooth - cv2.GaussianBlur(fine, (0, 0), 4.0))) + 1.0
+    return float(np.var(fine - smooth)) / contrast
+
+
+def useless(found: Sequence[Quality]) -> list[str]:
+    """Why each of a series of photographs is of no use; empty where it is."""
+    reasons: list[str] = []
+    for i, own in enumerate(found):
+        around = [*found[max(i - NEIGHBOURS, 0) : i], *found[i + 1 : i + 1 + NEIGHBOURS]]
+        usual = median(other.sharpness for other in around) if around else own.sharpness
+        if own.dark <= BLACK:
+            reasons.append("black")
+        elif own.bright >= WHITE:
+            reasons.append("burnt out: nearly all of it is white")
+        elif own.sharpness < BLURRED * usual:
+            reasons.append(f"blurred: {own.sharpness / usual:.0%} as sharp as its neighbours")
+        else:
+            reasons.append("")
+    return reasons
+
+
+def _quality(path: Path) -> Quality:
+    grey = cv2.imread(str(path), REDUCED)
+    if grey is None:
+        return Quality(1.0, 255.0, 0.0)  # what cannot be read is told of elsewhere
+    dark, bright = np.percentile(grey, (NEARLY_ALL, 100.0 - NEARLY_ALL))
+    return Quality(sharpness(grey), float(dark), float(bright))
