@@ -5,6 +5,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
+from warnings import catch_warnings, simplefilter
 
 from PIL import Image
 
@@ -26,7 +27,7 @@ def read_header(path: Path) -> Header:
     """Raises DamagedPhotographError where it is no image that can be read, CaptureError where its size is that of no
     photograph."""
     try:
-        with _any_size(), Image.open(path) as image:
+        with _without_limits(), Image.open(path) as image:
             width, height = image.size
             packet = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
             if image.format == "TIFF":
@@ -43,11 +44,14 @@ def read_header(path: Path) -> Header:
 
 
 @contextmanager
-def _any_size() -> Generator[None]:
-    """Without Pillow's own limit, below what some phones take; nothing is decoded here."""
+def _without_limits() -> Generator[None]:
+    """Without Pillow's own limit, below what some phones take, for nothing is decoded here, and without its warnings of
+    tags that are odd."""
     before = Image.MAX_IMAGE_PIXELS
     Image.MAX_IMAGE_PIXELS = None
     try:
-        yield
+        with catch_warnings():
+            simplefilter("ignore")
+            yield
     finally:
         Image.MAX_IMAGE_PIXELS = before

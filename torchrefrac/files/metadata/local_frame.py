@@ -68,7 +68,7 @@ class Grid:
     def north_at(self, point: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         """The same bearing at points (east, north)."""
         longitude, latitude = self._from_degrees.transform(*point.T, direction="INVERSE")
-        return self.place(latitude, longitude)[1]
+        return self.place(latitude.tolist(), longitude.tolist())[1]
 
     def _transform(self, latitude: Float[np.ndarray, " n"], longitude: Sequence[float]) -> Float[np.ndarray, "n 2"]:
         east, north = self._from_degrees.transform(np.asarray(longitude, dtype=float), latitude)

@@ -3,6 +3,7 @@ degrees."""
 
 import math
 import re
+import struct
 
 from torchrefrac.files.metadata.attitude import Attitude, as_stored
 from torchrefrac.files.metadata.exif import Exif
@@ -10,7 +11,8 @@ from torchrefrac.files.metadata.exif import Exif
 SIGMA_DEG = 1.0
 """Of a phone's accelerometer: its bias alone makes some tenths of a degree, the hand that presses the button the
 rest."""
-APPLE = "MakerNote Tag 0x0008"
+APPLE, APPLE_HEAD = b"Apple iOS\0", 14  # how its maker note begins, and where its directory of tags does
+ACCELERATION, SIGNED_RATIONAL = 8, 10  # the tag, and the kind of its numbers
 MOST_OF_GRAVITY = 0.15  # by which a phone that is held still may be off from 1 g
 LEAST_UPRIGHT = 0.17  # of gravity along the longer side, to tell in which way a photograph was turned: 10 degrees
 ANGLES = re.compile(r"Yaw:?\s*[-+\d.]+[,\s]+Pitch:?\s*([-+]?[\d.]+)[,\s]+Roll:?\s*([-+]?[\d.]+)", re.IGNORECASE)
@@ -34,7 +36,7 @@ def _apple(exif: Exif, orientation: int, is_upright: bool) -> tuple[float, float
     The sensor's rows run along the longer side of the phone, whichever way that is held: right of the image as stored
     is down the device. A photograph that is stored upright has been turned afterwards, so that down was below.
     """
-    axes = exif.numbers(APPLE)
+    axes = _acceleration(exif.maker_note)
     size = math.hypot(*axes)
     if len(axes) != 3 or abs(size - 1.0) > MOST_OF_GRAVITY or "front" in exif.text("EXIF LensModel").lower():
         return None
@@ -44,6 +46,26 @@ def _apple(exif: Exif, orientation: int, is_upright: bool) -> tuple[float, float
     if orientation != 1 or abs(y) < LEAST_UPRIGHT:
         return None
     return (x, -y, -z) if y < 0.0 else (-x, y, -z)
+
+
+def _acceleration(note: bytes) -> tuple[float, ...]:
+    """The vector in an iPhone's maker note, whose offsets count from its beginning; empty where there is none.
+
+    ExifRead counts them from elsewhere.
+    """
+    if not note.startswith(APPLE):
+        return ()
+    order = ">" if note[APPLE_HEAD - 2 : APPLE_HEAD] == b"MM" else "<"
+    try:
+        (count,) = struct.unpack_from(f"{order}H", note, APPLE_HEAD)
+        for entry in range(APPLE_HEAD + 2, APPLE_HEAD + 2 + 12 * count, 12):
+            tag, kind, size, offset = struct.unpack_from(f"{order}HHII", note, entry)
+            if (tag, kind, size) == (ACCELERATION, SIGNED_RATIONAL, 3):
+                numbers = struct.unpack_from(f"{order}6i", note, offset)
+                return tuple(above / below for above, below in zip(numbers[::2], numbers[1::2], strict=True))
+    except (struct.error, ZeroDivisionError):
+        return ()
+    return ()
 
 
 def _open_camera(comment: str, orientation: int) -> tuple[float, float, float] | None:

@@ -69,7 +69,8 @@ def place_all(places: Sequence[Place | None], crs: str | None, wanted: Vertical 
     if vertical is not None:
         position[known, 2] = [some[i].altitudes[vertical] for i in placed]
     sigma = np.ones((count, 3))
-    sigma[known] = [(*(some[i].sigma[0],) * 2, some[i].sigma[1]) for i in placed]
+    for i in placed:
+        sigma[i] = some[i].sigma[0], some[i].sigma[0], some[i].sigma[1]
     north[~known] = north[known].mean() if known.any() else 0.0
     origin = origin_of(position[known]) if known.any() and grid is not None else (0.0, 0.0, 0.0)
     position[known] -= origin

@@ -12,6 +12,7 @@ HORIZONTAL_SIGMA, VERTICAL_SIGMA = 1.5, 3.0  # m; of a receiver of its own, with
 OPTIMISM = 1.5  # by how much drones' own standard deviations of RTK are too small
 LEAST_SIGMA = 0.01  # m
 FIXED, FLOAT = 50, 34  # RtkFlag of DJI; 16: a receiver of its own, 0: none
+POSITIONING_ERROR = "GPS Tag 0x001F"  # GPSHPositioningError of phones, whose name ExifRead does not know
 NO_PLACE = 1e-6  # degrees; a receiver without a fix says 0, 0
 APART = 0.01  # degrees that two tags of one photograph may be apart
 MAKERS = ("drone-dji", "drone", "drone-autel", "drone-skydio", "drone-parrot")  # prefixes of XMP
@@ -102,7 +103,7 @@ def _sigma(exif: Exif, xmp: Xmp, maker: str) -> tuple[tuple[float, float], bool]
         return (max(east, north), up), True
     horizontal = xmp.number(f"{maker}:GpsHorizontalAccuracy", "Camera:GPSXYAccuracy")
     vertical = xmp.number(f"{maker}:GpsVerticalAccuracy", "Camera:GPSZAccuracy")
-    horizontal = horizontal or exif.number("GPS GPSHPositioningError")  # of phones
+    horizontal = horizontal or exif.number(POSITIONING_ERROR)
     if not horizontal or horizontal < 0.0:
         return (HORIZONTAL_SIGMA, VERTICAL_SIGMA), False
     vertical = vertical if vertical and vertical > 0.0 else VERTICAL_SIGMA / HORIZONTAL_SIGMA * horizontal
