@@ -11,6 +11,7 @@ from torchrefrac.files.metadata.kinds import FILMS, HEIC, PICTURES, RAW, unreada
 from torchrefrac.scene.capture import CaptureError
 
 MOST_FILES = 100_000
+IMAGES = "images"  # folder of the frames that were taken from a film, among results
 
 
 class Listing(NamedTuple):
@@ -23,7 +24,7 @@ class Listing(NamedTuple):
 
 def list_photographs(sources: Sequence[str], apart: Path) -> Listing:
     """The files of folders and what lies in them, of patterns, and single files, each once; hidden ones and what lies
-    in `apart`, where results go, are not looked at. Raises CaptureError where nothing is there."""
+    XX Raises CaptureError where nothing is there."""
     files: dict[Path, None] = {}
     for source in sources:
         found = list(_files(source, apart))
@@ -44,12 +45,13 @@ def common_folder(paths: Iterable[Path]) -> Path:
 
 def _files(source: str, apart: Path) -> Iterator[Path]:
     given = Path(os.path.abspath(os.path.expanduser(source)))
+    results = apart / IMAGES
     roots = [given] if given.exists() else [Path(path) for path in sorted(glob.glob(str(given), recursive=True))]
     for root in roots:
         if root.is_file():
             yield root
         for folder, inner, names in os.walk(root):
-            inner[:] = sorted(name for name in inner if not name.startswith(".") and Path(folder, name) != apart)
+            inner[:] = sorted(name for name in inner if not name.startswith(".") and Path(folder, name) != results)
             paths = [Path(folder, name) for name in sorted(names) if not name.startswith(".")]
             if len(paths) > MOST_FILES:
                 raise CaptureError(f"{folder} holds {len(paths)} files, more than a capture may have; name fewer")
