@@ -45,7 +45,7 @@ def test_hubers_loss_recovers_the_scene_in_spite_of_a_few_wrong_observations(pla
 
 def test_the_radial_terms_of_the_distortion_are_recovered_where_they_are_free(plant, disturb):
     planted = plant(points=60, distortion=(-0.12, 0.05, 0.001, 0.002, 0.0))
-    known = planted.truth.cameras.distortion * torch.tensor([0.0, 0.0, 1.0, 1.0, 1.0], dtype=torch.float64)
+    known = planted.truth.cameras.distortion * torch.tensor([0.0] * 2 + [1.0] * 6, dtype=torch.float64)
     start = disturb(planted.truth, size=0.3)
     start = changed(start, distortion=known)
 

@@ -314,7 +314,7 @@ def test_the_terms_of_the_distortion_that_are_fixed_beside_the_radial_ones_have_
         state = changed(start, distortion=distortion)
         return adjust_differentiably(state, options, terms=[planted.gravity]).views.center
 
-    direction, step = torch.tensor((0.0, 0.0, 1.0, -2.0, 0.5), dtype=torch.float64), 1e-4
+    direction, step = torch.tensor((0.0, 0.0, 1.0, -2.0, 0.5, 0.0, 0.0, 0.0), dtype=torch.float64), 1e-4
     ahead, behind = (centers(given + sign * step * direction).sum() for sign in (1.0, -1.0))
     (gradient,) = torch.autograd.grad(centers(distortion).sum(), distortion)
     assert float(gradient @ direction) == pytest.approx(float(ahead - behind) / (2.0 * step), rel=1e-3)

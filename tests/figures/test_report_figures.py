@@ -93,8 +93,9 @@ def test_headings_run_on_where_the_compass_begins_anew(make_scene):
 
 
 def test_measured_angles_are_set_beside_registered_images_alone(planted):
-    capture = replace(load_capture(embedded_scene("tank_small")), has_heading=False)
-    with_heading = replace(capture, heading=split_heading(planted.views.rotation)[1] + 3.0, has_heading=True)
+    capture = load_capture(embedded_scene("tank_small"))
+    heading = split_heading(planted.views.rotation)[1] + 3.0
+    with_heading = replace(capture, heading=heading, has_heading=torch.ones(8, dtype=torch.bool))
 
     images, angles = attitudes(planted, capture, None)
     _, (*_, heading) = attitudes(planted, with_heading, None)

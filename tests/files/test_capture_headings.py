@@ -15,12 +15,12 @@ def test_headings_arrive_in_radians(write_capture):
 
     capture = load_capture(write_capture(turn))
 
-    assert capture.has_heading
+    assert capture.has_heading.all()
     assert capture.heading.tolist() == pytest.approx([0.5 * math.pi, -2.5 * math.pi])
 
 
 def test_a_capture_may_have_no_headings(write_capture):
-    assert not load_capture(write_capture()).has_heading
+    assert not load_capture(write_capture()).has_heading.any()
 
 
 def test_headings_of_some_images_only_are_refused(write_capture):

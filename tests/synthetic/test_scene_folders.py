@@ -63,7 +63,7 @@ def test_the_folder_is_a_capture_with_its_survey_and_truth(render, stage, option
     assert capture.names == truth.names == ("cam00.png", "cam01.png", "cam02.png")
     assert capture.index_ratio == options.index_ratio
     assert capture.intrinsics.principal_point.tolist() == [24.0, 18.0]
-    assert capture.has_heading
+    assert capture.has_heading.all()
     assert capture.has_height.tolist() == [True, False, False]
     assert float(capture.height[0]) == float(stage.center[0, 2])
     assert torch.equal(truth.rotation, stage.rotation)

@@ -22,7 +22,7 @@ from torchrefrac.bundle.adjust import adjust
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.options import BundleOptions
 from torchrefrac.bundle.problem import BundleProblem
-from torchrefrac.bundle.rows import differentiable_rows
+from torchrefrac.bundle.rows import INTRINSICS, differentiable_rows
 from torchrefrac.bundle.terms import Term
 from torchrefrac.optim import REDUCED_SIZE, GaussNewtonInverse, Step, conjugate_gradients, robust
 from torchrefrac.scene import Scene
@@ -59,15 +59,13 @@ def adjust_differentiably(
 
 def _with_given(found: Scene, given: Scene, layout: Layout) -> Scene:
     """The solution, with the tensors that were given wherever nothing was refined."""
-    radial = 2 if "radial" in layout.intrinsics else 0
-    cameras = {name: getattr(given.cameras, name) for name in ("focal", "principal_point")}
-    cameras["distortion"] = torch.cat(
-        (found.cameras.distortion[..., :radial], given.cameras.distortion[..., radial:]), dim=-1
-    )
+    refined = max((INTRINSICS[name].width for name in ("radial", "distortion") if name in layout.intrinsics), default=0)
+    distortion = torch.cat((found.cameras.distortion[:, :refined], given.cameras.distortion[:, refined:]), dim=-1)
+    exact = {n: getattr(given.cameras, n) for n in ("focal", "principal_point") if n not in layout.intrinsics}
     fields = {"index_ratio": "index_ratio", "plane_tilt": "normal", "plane_height": "offset"}
     return replace(
         found,
-        cameras=replace(found.cameras, **{key: cameras[key] for key in cameras if key not in layout.intrinsics}),
+        cameras=replace(found.cameras, distortion=distortion, **exact),
         interfaces=replace(
             found.interfaces,
             **{of: getattr(given.interfaces, of) for key, of in fields.items() if key not in layout.water},

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.bundle.rows import INTRINSICS, WATER_WIDTH
+from torchrefrac.bundle.rows import INTRINSICS, WATER_WIDTH, coefficients_of
 from torchrefrac.geometry import so3_exp
 from torchrefrac.optim import REDUCED_SIZE, Family, Step
 from torchrefrac.scene import Cameras, Interfaces, Scene
@@ -167,8 +167,9 @@ class Layout:
             middle = middle + change["principal_point"]
         for name in ("radial", "distortion"):
             if name in change:
-                distortion = distortion + torch.nn.functional.pad(change[name], (0, 5 - change[name].shape[-1]))
-        return replace(cameras, focal=focal, principal_point=middle, distortion=distortion)
+                width = change[name].shape[-1]
+                distortion = distortion + torch.nn.functional.pad(change[name], (0, distortion.shape[-1] - width))
+        return cameras.moved(focal, middle, distortion, coefficients_of(self.intrinsics))
 
     def _moved_interfaces(self, interfaces: Interfaces, reduced: Float[Tensor, " size"]) -> Interfaces:
         index_ratio, normal, offset = interfaces.index_ratio, interfaces.normal, interfaces.offset

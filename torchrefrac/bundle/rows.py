@@ -7,7 +7,7 @@ from functools import cache
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, projection_parts
@@ -23,6 +23,7 @@ POSE = ("rotation", "center")
 WATER_WIDTH = {"index_ratio": 1, "plane_tilt": 2, "plane_height": 1}
 WATER = {"index_ratio": "indices", "plane_tilt": "plane_tilt", "plane_height": "plane_height"}
 BLOCK, COMPILED_BLOCK = 32768, 65536
+Mask = Bool[Tensor, "..."] | None
 
 
 class IntrinsicsUnknown(NamedTuple):
@@ -44,6 +45,11 @@ INTRINSICS = {
     "radial": IntrinsicsUnknown(2, "distortion"),
     "distortion": IntrinsicsUnknown(5, "distortion"),
 }
+
+
+def coefficients_of(intrinsics: Sequence[str]) -> int:
+    """How many coefficients of distortion there must be for these (keys of INTRINSICS) to vary."""
+    return 5 if any(INTRINSICS[name].block == "distortion" for name in intrinsics) else 0
 
 
 @dataclass(frozen=True)
@@ -78,9 +84,9 @@ def observation_rows(
     cost = seen.pixels.new_zeros(())
     for here in in_cache(len(seen), COMPILED_BLOCK if compiled else BLOCK):
         if compiled:
-            rho = _compiled()(rows[..., here], model, *_gathered(scene, seen[here]))
+            rho = _compiled()(rows[..., here], model, *_gathered(model, scene, seen[here]))
         else:
-            (u, v), rho = _parts(model, *_gathered(scene, seen[here]))
+            (u, v), rho = _parts(model, *_gathered(model, scene, seen[here]))
             torch.stack(u, out=rows[0, :, here])
             torch.stack(v, out=rows[1, :, here])
         if seen.weight is not None:
@@ -94,25 +100,26 @@ def differentiable_rows(
     model: RowModel, scene: Scene, seen: Observations
 ) -> tuple[Float[Tensor, "2 unknowns k"], Float[Tensor, "2 k"]]:
     """Derivatives and residuals, not weighted, zero where impossible; with a graph."""
-    rows, _ = _rows(replace(model, loss="squared"), *_gathered(scene, seen))
+    rows, _ = _rows(replace(model, loss="squared"), *_gathered(model, scene, seen))
     return rows[:, :-1], rows[:, -1]
 
 
-def _gathered(scene: Scene, seen: Observations) -> tuple[Float[Tensor, "..."], ...]:
+def _gathered(model: RowModel, scene: Scene, seen: Observations) -> tuple[Mask, *tuple[Float[Tensor, "..."], ...]]:
     """What `_parts` takes; of the one camera or interface of all views there is no copy, but of its offset where some
     points are dry."""
-    views, cameras, interfaces = scene.views, scene.cameras, scene.interfaces
-    camera = 0 if len(cameras) == 1 else views.camera[seen.view]
+    views, interfaces = scene.views, scene.interfaces
+    camera = scene.cameras.of_views(views.camera[seen.view], coefficients_of(model.intrinsics))
     interface = 0 if len(interfaces) == 1 else views.interface[seen.view]
     offset = interfaces.offset[interface]
     return (
+        camera.fisheye,
         _look_up(views.rotation, seen.view),
         _look_up(views.center, seen.view),
         _look_up(scene.points, seen.point),
         seen.pixels,
-        cameras.focal[camera],
-        cameras.principal_point[camera],
-        cameras.distortion[camera],
+        camera.focal,
+        camera.principal_point,
+        camera.distortion,
         interfaces.index_ratio[0],
         interfaces.normal[interface],
         offset if scene.dry is None else without_water(offset, scene.dry[seen.point]),
@@ -126,19 +133,20 @@ def _look_up(table: Float[Tensor, "rows *entry"], index: Int[Tensor, " k"]) -> F
 
 def _parts(
     model: RowModel,
+    fisheye: Bool[Tensor, "*camera"] | None,
     rotation: Float[Tensor, "k 3 3"],
     center: Float[Tensor, "k 3"],
     points: Float[Tensor, "k 3"],
     pixels: Float[Tensor, "k 2"],
     focal: Float[Tensor, "*camera 2"],
     principal_point: Float[Tensor, "*camera 2"],
-    distortion: Float[Tensor, "*camera 5"],
+    distortion: Float[Tensor, "*camera c"],
     index_ratio: Float[Tensor, ""],
     normal: Float[Tensor, "*interface 3"],
     offset: Float[Tensor, "*place"],
 ) -> tuple[list[list[Float[Tensor, " k"]]], Float[Tensor, " k"]]:
     """The rows of u and those of v, and rho."""
-    intrinsics = Intrinsics(1, 1, focal, principal_point, distortion, check=False)
+    intrinsics = Intrinsics(1, 1, focal, principal_point, distortion, fisheye, check=False)
     interface = FlatInterface(index_ratio, plane=Plane(normal, offset, check=False), check=False)
     blocks = *(INTRINSICS[name].block for name in model.intrinsics), *(WATER[name] for name in model.water)
     wanted = (*POSE, "point", *blocks)
@@ -157,13 +165,17 @@ def _parts(
     return axes, torch.where(valid, rho, impossible)
 
 
-def _rows(model: RowModel, *tensors: Shaped[Tensor, "..."]) -> tuple[Float[Tensor, "2 row k"], Float[Tensor, " k"]]:
-    axes, rho = _parts(model, *tensors)
+def _rows(
+    model: RowModel, fisheye: Mask, *tensors: Float[Tensor, "..."]
+) -> tuple[Float[Tensor, "2 row k"], Float[Tensor, " k"]]:
+    axes, rho = _parts(model, fisheye, *tensors)
     return torch.stack([part for axis in axes for part in axis]).unflatten(0, (2, -1)), rho
 
 
-def _write_rows(out: Float[Tensor, "2 row k"], model: RowModel, *tensors: Shaped[Tensor, "..."]) -> Float[Tensor, " k"]:
-    rows, rho = _rows(model, *tensors)
+def _write_rows(
+    out: Float[Tensor, "2 row k"], model: RowModel, fisheye: Mask, *tensors: Float[Tensor, "..."]
+) -> Float[Tensor, " k"]:
+    rows, rho = _rows(model, fisheye, *tensors)
     out.copy_(rows)
     return rho
 

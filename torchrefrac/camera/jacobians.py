@@ -43,7 +43,7 @@ class ProjectionJacobians(NamedTuple):
     point: Float[Tensor, "*batch 2 3"]
     focal: Float[Tensor, "*batch 2 2"]
     principal_point: Float[Tensor, "*batch 2 2"]
-    distortion: Float[Tensor, "*batch 2 5"]
+    distortion: Float[Tensor, "*batch 2 k"]
     indices: Float[Tensor, "*batch 2 layers"]
     plane_tilt: Float[Tensor, "*batch 2 2"]
     plane_height: Float[Tensor, "*batch 2"]
@@ -66,15 +66,18 @@ def project_with_jacobians(
     rotation: cam_from_world; batches broadcast. Entries that are not valid are finite.
     """
 
-    def block(first: Vectors, second: Vectors, *tensors: Parameter) -> tuple[AnyTensor, ...]:
-        pixel, valid, by = _differentiate(tensors, interface, (triples.split(first), triples.split(second)), BLOCKS)
-        return torch.stack(pixel, dim=-1), valid, *(_stack(*by[name]) for name in BLOCKS)
+    wanted = [name for name in BLOCKS if name != "distortion" or intrinsics.distortion.shape[-1]]
+
+    def block(first: Vectors, second: Vectors, *tensors: AnyTensor) -> tuple[AnyTensor, ...]:
+        pixel, valid, by = _differentiate(tensors, interface, (triples.split(first), triples.split(second)), wanted)
+        return torch.stack(pixel, dim=-1), valid, *(_stack(*by[name]) for name in wanted)
 
     tensors, event_dims = operands(intrinsics, rotation, center, points, interface)
     tangents = interface.plane.tangents_like(points)
-    dims = (1, 0, *(2 for _ in BLOCKS))
+    dims = (1, 0, *(2 for _ in wanted))
     pixels, valid, *blocks = in_blocks(precise(block, interface), [*tangents, *tensors], [1, 1, *event_dims], dims)
-    by: dict[str, Parameter] = dict(zip(BLOCKS, blocks, strict=True))
+    by: dict[str, Parameter] = dict(zip(wanted, blocks, strict=True))
+    by.setdefault("distortion", by["focal"][..., :0])
     by["plane_height"] = by["plane_height"][..., 0]
     by["principal_point"] = torch.eye(2, dtype=pixels.dtype, device=pixels.device).expand((*valid.shape, 2, 2))
     return pixels, ProjectionJacobians(**by), valid
@@ -104,7 +107,7 @@ def projection_parts(
 
 
 def _differentiate(
-    tensors: Sequence[Parameter],
+    tensors: Sequence[AnyTensor],
     interface: FlatInterface,
     tangents: tuple[Triple, Triple],
     wanted: Collection[str],
@@ -117,7 +120,7 @@ def _differentiate(
         lift = _with_frozen_ratio(view.sight, lift)
     x_in_cam = in_camera(view, lift.height)
     x, y, inverse, ahead = onto_plane(x_in_cam)
-    slopes = distortion_slopes(x, y, view.distortion)
+    slopes = distortion_slopes(x, y, view.distortion, view.fisheye)
     u, v = slopes.u, slopes.v
     (fx, fy), (cx, cy) = view.focal, view.principal_point
     bend = _bend(view.sight, lift, tangents, with_tilt="plane_tilt" in wanted)

@@ -12,21 +12,23 @@ from torchrefrac.camera.intrinsics import Intrinsics
 from torchrefrac.geometry import triples
 from torchrefrac.geometry.triples import Mask, Part, Triple, Vectors
 from torchrefrac.numerics import in_blocks
+from torchrefrac.numerics.blocks import AnyTensor
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.refraction.interface import Parameter, parameter_dims
+from torchrefrac.refraction.interface import parameter_dims
 from torchrefrac.refraction.lift import Sight, is_valid, look, offset_components, precise, solve_height
 
 MIN_DEPTH = 1e-9
 
 
 class View(NamedTuple):
-    """One block of operands: rotation as rows, focal, principal_point and distortion as components, and the sight line
-    in the interface's frame, which is the camera's where `in_camera`."""
+    """One block of operands: rotation as rows, focal, principal_point and distortion as components (with the mask of
+    fisheyes), and the sight line in the interface's frame, which is the camera's where `in_camera`."""
 
     rotation: tuple[Triple, Triple, Triple]
     focal: Sequence[Part]
     principal_point: Sequence[Part]
     distortion: Sequence[Part]
+    fisheye: Mask | None
     sight: Sight
     in_camera: bool
 
@@ -43,12 +45,12 @@ def project(
     rotation: cam_from_world; batches broadcast. Entries that are not valid are finite.
     """
 
-    def block(*tensors: Parameter) -> tuple[Parameter, Mask, Mask]:
+    def block(*tensors: AnyTensor) -> tuple[AnyTensor, Mask, Mask]:
         view = view_of(tensors, interface)
         straight = -view.sight.along
         height = straight if interface.is_absent else solve_height(view.sight, interface.camera_in_rarest)
         x, y, _, ahead = onto_plane(in_camera(view, height))
-        u, v = distort_components(x, y, view.distortion)
+        u, v = distort_components(x, y, view.distortion, view.fisheye)
         (fx, fy), (cx, cy) = view.focal, view.principal_point
         pixels = torch.stack((fx * u + cx, fy * v + cy), dim=-1)
         return pixels, is_valid(view.sight, height) & ahead, view.sight.beyond > 0
@@ -64,17 +66,21 @@ def operands(
     center: Vectors,
     points: Vectors,
     interface: FlatInterface,
-) -> tuple[list[Parameter], list[int]]:
+) -> tuple[list[AnyTensor], list[int]]:
     """What a projection depends on, as tensors that `in_blocks` can cut up, and how many dimensions of each belong to
     one element."""
     parameters = interface.parameters(points)
-    optics = (intrinsics.focal, intrinsics.principal_point, intrinsics.distortion)
-    return [rotation, center, points, *optics, *parameters], [2, 1, 1, 1, 1, 1, *parameter_dims(parameters)]
+    optics = [intrinsics.focal, intrinsics.principal_point, intrinsics.distortion]
+    dims = [1, 1, 1]
+    if intrinsics.fisheye is not None:
+        optics, dims = [*optics, intrinsics.fisheye], [*dims, 0]
+    return [rotation, center, points, *optics, *parameters], [2, 1, 1, *dims, *parameter_dims(parameters)]
 
 
-def view_of(tensors: Sequence[Parameter], interface: FlatInterface) -> View:
+def view_of(tensors: Sequence[AnyTensor], interface: FlatInterface) -> View:
     """The operands taken apart."""
     rotation, center, points, focal, principal_point, distortion, *parameters = tensors
+    fisheye = parameters.pop(0) if parameters[0].dtype == torch.bool else None
     rows, c, p = triples.rows(rotation), triples.split(center), triples.split(points)
     if interface.moves_with_camera:
         offset = triples.minus(p, c)
@@ -82,7 +88,7 @@ def view_of(tensors: Sequence[Parameter], interface: FlatInterface) -> View:
         zero = torch.zeros_like(p[0])
         c = (zero, zero, zero)
     f, middle, k = (values.unbind(dim=-1) for values in (focal, principal_point, distortion))
-    return View(rows, f, middle, k, look(c, p, parameters), interface.moves_with_camera)
+    return View(rows, f, middle, k, fisheye, look(c, p, parameters), interface.moves_with_camera)
 
 
 def in_camera(view: View, height: Part) -> Triple:

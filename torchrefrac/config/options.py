@@ -9,9 +9,9 @@ from torchrefrac.config.build import OptionError
 from torchrefrac.config.scenes import FolderOptions
 from torchrefrac.dense import DenseOptions
 from torchrefrac.features import MatchOptions, SiftOptions
-from torchrefrac.files.capture import MAX_INDEX_RATIO
 from torchrefrac.files.raster import require_geotiff
 from torchrefrac.refraction import water_index
+from torchrefrac.scene.interfaces import MAX_INDEX_RATIO
 from torchrefrac.sfm import ReadjustOptions, SfmOptions
 from torchrefrac.synthetic.options import SyntheticOptions
 

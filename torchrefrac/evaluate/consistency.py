@@ -118,7 +118,7 @@ def _heights(scene: Scene, stated: Capture) -> list[Finding]:
     if int(measured.sum()) < 2:
         return []
     found, heights, unit = scene.views.center[measured, 2], stated.height[measured], scene.length_unit
-    fit = fit_heights(found, heights)
+    fit = fit_heights(found, heights, stated.height_sigma[measured])
     if float(fit.offset) != 0.0:
         message = (
             f"all heights are too {'large' if float(fit.offset) > 0.0 else 'small'} by {abs(float(fit.offset)):.3g} "

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.camera import RefractiveCamera
+from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.evaluate.true_surface import TrueSurface
 from torchrefrac.geometry import Similarity
 from torchrefrac.numerics import segment_sum
@@ -63,16 +63,16 @@ def true_places(scene: Scene, surface: TrueSurface) -> TruePlaces | None:
     truth, intrinsics, views = surface.truth, surface.truth.intrinsics, scene.views
     if intrinsics is None or truth.index_ratio is None or not surface.is_known:
         return None
-    if {(intrinsics.width, intrinsics.height)} != set(scene.cameras.sizes):
-        return None
     number = {name: i for i, name in enumerate(truth.names)}
     theirs = torch.tensor([number.get(name, -1) for name in views.names], dtype=torch.long)
+    if not _same_sizes(scene, intrinsics, theirs):
+        return None
     theirs = torch.where(views.registered, theirs, -1)[scene.observations.view]
     observed = scene.observations[theirs >= 0]
     theirs, point, count = theirs[theirs >= 0], observed.point, len(scene.points)
-    cameras = RefractiveCamera(
-        intrinsics, truth.rotation[theirs], truth.center[theirs], FlatInterface(truth.index_ratio), check=False
-    )
+    true_pose = truth.rotation[theirs], truth.center[theirs]
+    own = intrinsics.indexed(theirs, (len(truth.names),))
+    cameras = RefractiveCamera(own, *true_pose, FlatInterface(truth.index_ratio), check=False)
     seen = surface.cast(cameras, observed.pixels)
     point = point[seen.valid]
     views = torch.bincount(point, minlength=count)
@@ -83,6 +83,14 @@ def true_places(scene: Scene, surface: TrueSurface) -> TruePlaces | None:
         plane=torch.where(2 * votes > views, plane, -1),
         known=views > 0,
     )
+
+
+def _same_sizes(scene: Scene, intrinsics: Intrinsics, theirs: Int[Tensor, " m"]) -> bool:
+    """Whether the photographs of a scene have the sizes of the true ones, whose numbers are `theirs` (-1: of none)."""
+    ours = torch.tensor(scene.cameras.sizes)[scene.views.camera]
+    if intrinsics.sizes is None:
+        return bool((ours == torch.tensor((intrinsics.width, intrinsics.height))).all())
+    return bool((ours == intrinsics.sizes[theirs])[theirs >= 0].all())
 
 
 def flatness(points: Float[Tensor, "n 3"], places: TruePlaces, planes: int) -> float | None:

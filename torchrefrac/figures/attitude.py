@@ -45,8 +45,9 @@ def attitudes(scene: Scene, capture: Capture | None, truth: Truth | None) -> tup
     heading = heading[:1] + torch.cat((heading.new_zeros(1), wrapped(heading.diff().rad2deg()).deg2rad())).cumsum(dim=0)
     sensed_down = sensed_heading = true_down = true_heading = None
     if capture is not None and capture.names == scene.views.names:
-        sensed_down = capture.down_in_cam[images] if capture.has_gravity else None
-        sensed_heading = capture.heading[images].rad2deg() if capture.has_heading else None
+        unknown, headed = capture.down_sigma[images].isinf()[:, None], capture.has_heading[images]
+        sensed_down = capture.down_in_cam[images].where(~unknown, torch.nan) if capture.has_gravity else None
+        sensed_heading = capture.heading[images].rad2deg().where(headed, torch.nan) if bool(headed.any()) else None
     if truth is not None:
         names = [scene.views.names[i] for i in images.tolist()]
         true_down, turn = split_heading(true_of(truth.rotation, truth, names))

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
-from torchrefrac.files.capture import intrinsics_content, read_intrinsics
 from torchrefrac.files.fields import Fields, different_names, scene_fields, write_json
+from torchrefrac.files.intrinsics import intrinsics_content, read_intrinsics
 from torchrefrac.files.ply import kind_of_coordinates, write_vertices
 from torchrefrac.files.swap import settle
 from torchrefrac.geometry import Rigid
@@ -98,7 +98,7 @@ def read_cameras(path: Path) -> Scene:
         intrinsics = top.object("intrinsics")
         none = torch.zeros(0, 3, dtype=torch.float64)
         return Scene(
-            cameras=Cameras.of([read_intrinsics(intrinsics, intrinsics.numbers("distortion", 5))]),
+            cameras=Cameras.of([read_intrinsics(intrinsics, counts=(5,))]),
             views=replace(Views.posed(pose, names), registered=known),
             interfaces=Interfaces.level(top.number("index_ratio")),
             points=none,

@@ -94,10 +94,12 @@ class Fields:
         """The error for field `name`, ready to raise."""
         return CaptureError(f"{self._path}: {self._label(name)} {problem}")
 
-    def must_be(self, name: str, wanted: str) -> None:
-        """Refuse any other text than the one wanted."""
-        if self.text(name) != wanted:
-            raise self.fail(name, f"is {self.text(name)!r}, but must be {wanted!r}")
+    def must_be(self, name: str, *wanted: str) -> str:
+        """The text, which must be one of those wanted."""
+        text = self.text(name)
+        if text not in wanted:
+            raise self.fail(name, f"is {text!r}, but must be {' or '.join(map(repr, wanted))}")
+        return text
 
     def only(self, *known: str) -> None:
         """Refuse fields that nobody reads: they are misspelt more often than not."""
@@ -139,16 +141,28 @@ class Fields:
             raise self.fail(name, f"is {found}, but must be true or false")
         return value
 
+    def positive(self, name: str, at_most: float) -> float:
+        """A number above 0."""
+        return self._positive(name, self.number(name), at_most)
+
+    def positives(self, name: str, count: int, at_most: float) -> list[float]:
+        """So many numbers above 0, or one for all of them."""
+        if not self.is_list(name):
+            return [self.positive(name, at_most)] * count
+        values = enumerate(self.numbers(name, count))
+        return [self._positive(f"{name}[{i}]", value, at_most) for i, value in values]
+
     def integer(self, name: str) -> int:
         value = self._get(name)
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.fail(name, f"is {_kind(value)}, but must be a whole number")
         return value
 
-    def numbers(self, name: str, count: int) -> list[float]:
+    def numbers(self, name: str, *counts: int) -> list[float]:
+        """A list of as many numbers as one of `counts` says."""
         value = self._get(name)
-        if not isinstance(value, list) or len(value) != count:
-            raise self.fail(name, f"is {_kind(value)}, but must be a list of {count} numbers")
+        if not isinstance(value, list) or len(value) not in counts:
+            raise self.fail(name, f"is {_kind(value)}, but must be a list of {' or '.join(map(str, counts))} numbers")
         return [self._number(f"{name}[{i}]", item) for i, item in enumerate(value)]
 
     def is_list(self, name: str) -> bool:
@@ -223,6 +237,11 @@ class Fields:
             return {}
         table = self.object(name)
         return {key: table.object(key) for key in table.names()}
+
+    def _positive(self, name: str, value: float, at_most: float) -> float:
+        if not 0.0 < value <= at_most:
+            raise self.fail(name, f"is {value:g}, but must be above 0 and at most {at_most:g}")
+        return value
 
     def _number(self, name: str, value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):

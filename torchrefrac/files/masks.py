@@ -34,13 +34,13 @@ class Masks:
     def check(self) -> None:
         """Raise CaptureError for a mask that fits no image, cannot be read, or has another size than the images.
 
-        Masks of photographs that are not listed are no mistake where these lie in images/, or where all that are listed
-        have masks.
+        Masks of photographs that are not listed are no mistake where these lie among the images, or where all that are
+        listed have masks.
         """
         folder = self._capture.folder / MASKS
         unknown = _pictures(folder) - set(self._paths) if None in self._paths else set[Path]()
         if unknown:
-            images = self._capture.folder / IMAGES
+            images = self._capture.paths[0].parents[len(Path(self._capture.names[0]).parts) - 1]
             others = (path.relative_to(images).as_posix() for path in _pictures(images))
             unknown -= {place for name in others for place in _places(folder, name)}
         if unknown:

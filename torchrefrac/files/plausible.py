@@ -25,7 +25,8 @@ def implausible(intrinsics: Intrinsics) -> tuple[str, str] | None:
     corners = torch.cartesian_prod(*(intrinsics.focal.new_tensor((0.0, size)) for size in sizes))
     plane = (corners - intrinsics.principal_point) / intrinsics.focal
     moved, reach = (
-        (to - plane).norm(dim=-1) for to in (distort(plane, intrinsics.distortion), torch.zeros_like(plane))
+        (to - plane).norm(dim=-1)
+        for to in (distort(plane, intrinsics.distortion, intrinsics.fisheye), torch.zeros_like(plane))
     )
     if not bool((moved <= MOST_MOVED * reach).all()):
         problem = f"moves a corner of the image by more than {MOST_MOVED:g} times its distance from the principal point"

@@ -8,8 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.files.capture import UNIT_TOLERANCE, pixel_shift
+from torchrefrac.files.capture import pixel_shift
 from torchrefrac.files.fields import Fields, read_json
+from torchrefrac.files.measured import UNIT_TOLERANCE
 from torchrefrac.scene.capture import CaptureError
 from torchrefrac.scene.survey import ControlPoint, Matrix, ScaleBar, Survey, SurveyedImage, SurveyError, resolve
 

@@ -9,9 +9,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.files.capture import capture_intrinsics, read_index_ratio
+from torchrefrac.camera import Intrinsics
+from torchrefrac.files.capture import camera_of_images, read_capture_cameras
 from torchrefrac.files.extent import read_extent
 from torchrefrac.files.fields import Fields, read_json
+from torchrefrac.files.interface import read_index_ratio
 from torchrefrac.files.npz import read_arrays
 from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.scene import CaptureError, Truth, TruthPoints
@@ -24,8 +26,9 @@ def load_truth(folder: str | Path, with_surface: bool = True) -> Truth | None:
     """Read `folder`/truth.json; None where there is none.
 
     The index ratio is that of truth.json, or else, as always the intrinsics, that of the capture.json beside it, if
-    there is one. `surface` names a file of triangles beside it that trimesh can read; it is left out unless
-    with_surface. Raises CaptureError where a file is damaged, or the one of the surface is missing.
+    there is one; intrinsics that are uncertain there are not known. `surface` names a file of triangles beside it that
+    trimesh can read; it is left out unless with_surface. Raises CaptureError where a file is damaged, or the one of the
+    surface is missing.
     """
     folder = Path(folder)
     path = folder / "truth.json"
@@ -40,8 +43,9 @@ def load_truth(folder: str | Path, with_surface: bool = True) -> Truth | None:
     def table(rows: list[list[float]]) -> Float[Tensor, "n 3"]:
         return torch.tensor(rows, dtype=torch.float64).reshape(-1, 3)
 
+    names = tuple(image.text("name") for image in images)
     return Truth(
-        names=tuple(image.text("name") for image in images),
+        names=names,
         rotation=torch.tensor([image.rotation("cam_from_world_rotation") for image in images], dtype=torch.float64),
         center=table([image.position("center_in_world") for image in images]),
         corner=table([plane.position("origin") for plane in planes]),
@@ -49,11 +53,21 @@ def load_truth(folder: str | Path, with_surface: bool = True) -> Truth | None:
         edge2=table([plane.position("e2") for plane in planes]),
         length_unit=top.length_unit(),
         index_ratio=None if ratio_from is None else read_index_ratio(ratio_from),
-        intrinsics=None if capture is None else capture_intrinsics(capture),
+        intrinsics=None if capture is None else _intrinsics(capture, names),
         folder=folder,
         water_extent=read_extent(top),
         surface=_read_surface(top, folder) if with_surface and "surface" in top else None,
     )
+
+
+def _intrinsics(capture: Fields, names: Sequence[str]) -> Intrinsics | None:
+    """Of the photographs `names`: those that capture.json states, where it has no doubt of them."""
+    cameras = read_capture_cameras(capture)
+    if cameras.are_uncertain:
+        return None
+    images = capture.objects("images")
+    rows = dict(zip((image.text("name") for image in images), camera_of_images(images, cameras), strict=True))
+    return cameras.of_views(torch.tensor([rows.get(name, 0) for name in names]), coefficients=5)
 
 
 def load_truth_points(folder: Path, names: Sequence[str]) -> TruthPoints | None:

@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from torchrefrac.files.capture import read_index_ratio
 from torchrefrac.files.fields import Fields, scene_fields, write_json
+from torchrefrac.files.interface import read_index_ratio
 from torchrefrac.scene import Interfaces, Scene
 
 FORMAT = "torchrefrac-water/1"

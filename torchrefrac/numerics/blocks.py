@@ -68,12 +68,14 @@ def _is_plain(tensor: AnyTensor) -> bool:
 
 
 def in_double(function: Tensors) -> Tensors:
-    """`function` computed in float64 where all tensors are float32, and rounded once; not on MPS, which has none."""
+    """`function` computed in float64 where all tensors but masks are float32, and rounded once; not on MPS, which has
+    none."""
 
     def computed(*tensors: AnyTensor) -> tuple[AnyTensor, ...]:
-        if any(tensor.dtype != torch.float32 for tensor in tensors) or tensors[0].device.type == "mps":
+        numbers = [tensor for tensor in tensors if tensor.dtype != torch.bool]
+        if any(tensor.dtype != torch.float32 for tensor in numbers) or tensors[0].device.type == "mps":
             return function(*tensors)
-        results = function(*(tensor.double() for tensor in tensors))
+        results = function(*(tensor if tensor.dtype == torch.bool else tensor.double() for tensor in tensors))
         return tuple(result.float() if result.is_floating_point() else result for result in results)
 
     return computed

@@ -4,6 +4,7 @@ from torchrefrac.scene.capture import Capture, CaptureError
 from torchrefrac.scene.dense import DenseCloud, DepthMap
 from torchrefrac.scene.extent import WaterExtent
 from torchrefrac.scene.findings import Finding, WarningCode
+from torchrefrac.scene.georeference import Georeference
 from torchrefrac.scene.interfaces import Interfaces
 from torchrefrac.scene.raster import Raster
 from torchrefrac.scene.scene import (
@@ -20,7 +21,7 @@ from torchrefrac.scene.tables import Cameras, Observations, Views
 from torchrefrac.scene.truth import Truth, TruthPoints
 
 __all__ = [
-    "Assessment", "Cameras", "Capture", "CaptureError", "DenseCloud", "DepthMap", "Finding", "Interfaces",
-    "Observations", "Part", "Raster", "Scene", "SceneError", "Survey", "SurveyError", "Truth", "TruthPoints", "Views",
-    "WarningCode", "WaterExtent", "largest_deviation", "mean_deviation", "reprojection_errors",
+    "Assessment", "Cameras", "Capture", "CaptureError", "DenseCloud", "DepthMap", "Finding", "Georeference",
+    "Interfaces", "Observations", "Part", "Raster", "Scene", "SceneError", "Survey", "SurveyError", "Truth",
+    "TruthPoints", "Views", "WarningCode", "WaterExtent", "largest_deviation", "mean_deviation", "reprojection_errors",
 ]  # fmt: skip

@@ -12,8 +12,12 @@ from torch import Tensor
 from torchrefrac.camera import Intrinsics
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.scene.extent import WaterExtent
+from torchrefrac.scene.georeference import Georeference
 from torchrefrac.scene.interfaces import Interfaces
 from torchrefrac.scene.tables import Cameras
+
+RELATIVE_HEIGHT_SIGMA = 0.01
+"""Of a stated height. What images say is more exact by far."""
 
 
 class CaptureError(TorchrefracError, ValueError):
@@ -25,12 +29,15 @@ class Capture:
     """Photographs by names and paths, each with its camera, its interface and gravity where that is known.
 
     camera and interface: rows of the tables, by default the first. down_in_cam: unit vectors with expected errors of
-    down_sigma radians (infinite: not known), which mean nothing unless has_gravity (they are the optical axes then);
-    height above the water in length_unit where has_height says that it was measured. heading: compass heading of the
-    image's top after levelling, radians clockwise from north (world +y), with an error of degrees; it means nothing
-    unless has_heading, and reports alone look at it. water_extent: where the water ends, if that is known. folder:
-    where the capture was read from; truth, if any, lies beside it. damaged: photographs that were listed but are not
-    here, by name, and what is wrong with their files.
+    down_sigma radians, infinite where it is not known (they are the optical axes then); has_gravity: whether it is of
+    any. height above the water in length_unit where has_height says that it was measured, with expected errors of
+    height_sigma, infinite elsewhere; by default RELATIVE_HEIGHT_SIGMA of it. position of the camera's centre in
+    length_unit in the local frame of the georeference, with expected errors of position_sigma along each axis, infinite
+    where it is not known. heading: compass heading of the image's top after levelling, radians clockwise from north
+    (world +y), with an error of degrees, where has_heading; reports alone look at it. water_extent: where the water
+    ends, if that is known. georeference: where the local frame stands, if that is known. folder: where the capture was
+    read from; truth, if any, lies beside it. damaged: photographs that were listed but are not here, by name, and what
+    is wrong with their files.
     """
 
     folder: Path
@@ -45,16 +52,30 @@ class Capture:
     length_unit: str
     has_gravity: bool = True
     heading: Float[Tensor, " h"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
-    has_heading: bool = False
+    has_heading: Bool[Tensor, " h"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.bool))
     camera: Int[Tensor, " c"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
     interface: Int[Tensor, " c"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
+    height_sigma: Float[Tensor, " s"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
+    position: Float[Tensor, "p 3"] = field(default_factory=lambda: torch.zeros(0, 3, dtype=torch.float64))
+    position_sigma: Float[Tensor, "p 3"] = field(default_factory=lambda: torch.zeros(0, 3, dtype=torch.float64))
     water_extent: WaterExtent | None = None
+    georeference: Georeference | None = None
     damaged: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("camera", "interface"):
+        unknown = torch.full_like(self.down_in_cam, torch.inf)
+        by_default = {
+            "heading": torch.zeros_like(self.height),
+            "has_heading": torch.zeros_like(self.has_height),
+            "camera": torch.zeros(len(self), dtype=torch.long),
+            "interface": torch.zeros(len(self), dtype=torch.long),
+            "height_sigma": torch.where(self.has_height, RELATIVE_HEIGHT_SIGMA * self.height, torch.inf),
+            "position": torch.zeros_like(unknown),
+            "position_sigma": unknown,
+        }
+        for name, values in by_default.items():
             if not len(getattr(self, name)):
-                object.__setattr__(self, name, torch.zeros(len(self.names), dtype=torch.long))
+                object.__setattr__(self, name, values)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -93,9 +114,12 @@ class Capture:
             names=tuple(self.names[i] for i in rows),
             paths=tuple(self.paths[i] for i in rows),
             water_extent=self.water_extent and self.water_extent.of_views(rows),
-            **{name: getattr(self, name)[list(rows)] for name in PER_VIEW if len(getattr(self, name))},
+            **{name: getattr(self, name)[list(rows)] for name in PER_VIEW},
         )
 
 
-PER_VIEW = ("down_in_cam", "down_sigma", "height", "has_height", "heading", "camera", "interface")
+PER_VIEW = (
+    "down_in_cam", "down_sigma", "height", "has_height", "height_sigma", "position", "position_sigma", "heading",
+    "has_heading", "camera", "interface",
+)  # fmt: skip
 """The fields of a capture that have a row for each photograph."""

@@ -1,63 +1,143 @@
 """The tables of a scene: cameras, views and what was seen in them."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry import Rigid
 
+PLAIN, FISHEYE = "opencv", "fisheye"
+COEFFICIENTS = 8
+SIGMAS = ("focal_sigma", "principal_point_sigma", "distortion_sigma")
+ONLY = "camera"
+"""The name of a camera that nobody named, where there is no other."""
+
 
 @dataclass(frozen=True, eq=False)
 class Cameras:
-    """A table of intrinsics (see `Intrinsics`), and the size of the images of each in pixels, (width, height)."""
+    """A table of intrinsics (see `Intrinsics`), and the size of the images of each in pixels, (width, height).
+
+    distortion: the coefficients that a camera has, then zeros; models: "opencv" or "fisheye". Expected errors of what
+    is stated, as standard deviations, zero where it counts as exact: focal_sigma, of both focal lengths by the same
+    factor, relative; principal_point_sigma, of each coordinate, pixels; distortion_sigma, of each coefficient. By
+    default all models are "opencv", all is exact, and the names are numbers.
+    """
 
     sizes: tuple[tuple[int, int], ...]
     focal: Float[Tensor, "g 2"]
     principal_point: Float[Tensor, "g 2"]
-    distortion: Float[Tensor, "g 5"]
+    distortion: Float[Tensor, "g k"]
+    models: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+    focal_sigma: Float[Tensor, " f"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
+    principal_point_sigma: Float[Tensor, " f"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
+    distortion_sigma: Float[Tensor, " f"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
+
+    def __post_init__(self) -> None:
+        count = len(self.sizes)
+        object.__setattr__(self, "distortion", _padded(self.distortion))
+        for name in SIGMAS:
+            if len(getattr(self, name)) != count:
+                object.__setattr__(self, name, getattr(self, name).new_zeros(count))
+        if not self.models:
+            object.__setattr__(self, "models", (PLAIN,) * count)
+        if not self.names:
+            object.__setattr__(self, "names", (ONLY,) if count == 1 else tuple(map(str, range(count))))
 
     @classmethod
-    def of(cls, every: Iterable[Intrinsics]) -> "Cameras":
+    def of(cls, every: Iterable[Intrinsics], names: Sequence[str] = ()) -> "Cameras":
         """From single intrinsics. Raises ValueError where some are batched."""
         every = tuple(every)
         for i, one in enumerate(every):
             if one.shape != ():
                 raise ValueError(f"intrinsics[{i}] has batch shape {tuple(one.shape)}, but must be those of one camera")
         if not every:
-            return cls((), torch.zeros(0, 2), torch.zeros(0, 2), torch.zeros(0, 5))
+            return cls((), torch.zeros(0, 2), torch.zeros(0, 2), torch.zeros(0, COEFFICIENTS))
         return cls(
             tuple((one.width, one.height) for one in every),
             torch.stack([one.focal for one in every]),
             torch.stack([one.principal_point for one in every]),
-            torch.stack([one.distortion for one in every]),
+            torch.stack([_padded(one.distortion) for one in every]),
+            tuple(PLAIN if one.fisheye is None or not bool(one.fisheye) else FISHEYE for one in every),
+            tuple(names),
         )
 
     def __len__(self) -> int:
         return len(self.sizes)
 
     def __getitem__(self, camera: int) -> Intrinsics:
-        """The intrinsics of one."""
-        return self._entries(camera, camera)
+        """The intrinsics of one, with five coefficients of distortion, or eight where it has more."""
+        focal, middle, distortion = self.focal[camera], self.principal_point[camera], self.distortion[camera]
+        fisheye = self.fisheye[camera] if self.models[camera] == FISHEYE else None
+        count = COEFFICIENTS if bool((distortion[5:] != 0.0).any()) else 5
+        return Intrinsics(*self.sizes[camera], focal, middle, distortion[:count], fisheye, check=False)
 
-    def of_views(self, camera: Any) -> Intrinsics:
+    def of_views(self, camera: Any, coefficients: int = 0) -> Intrinsics:
         """The intrinsics of views with the cameras `camera` (*B) as a batch (*B); not batched where there is one camera
-        for all. Width and height are those of the first."""
-        if len(self) == 1:
-            return self[0]
-        return self._entries(0, camera)
+        for all. With as many coefficients of distortion as any camera needs: none, five or eight, and `coefficients` at
+        least."""
+        row = 0 if len(self) == 1 else camera
+        width, height = (max(numbers) for numbers in zip(*self.sizes, strict=True))
+        same = len(set(self.sizes)) == 1
+        sizes = None if same else self.focal.new_tensor(self.sizes)[row]
+        fisheye = self.fisheye[row] if FISHEYE in self.models else None
+        distortion = self.distortion[row][..., : max(coefficients, self.coefficients)]
+        return Intrinsics(
+            width, height, self.focal[row], self.principal_point[row], distortion, fisheye, sizes, check=False
+        )
 
-    def _entries(self, size: int, camera: Any) -> Intrinsics:
-        focal, principal_point, distortion = self.focal[camera], self.principal_point[camera], self.distortion[camera]
-        return Intrinsics(*self.sizes[size], focal, principal_point, distortion, check=False)
+    @property
+    def are_uncertain(self) -> bool:
+        """Whether anything stated of any camera is expected to err."""
+        return any(bool((getattr(self, name) > 0.0).any()) for name in SIGMAS)
+
+    @cached_property
+    def fisheye(self) -> Bool[Tensor, " g"]:
+        """Which of them are fisheyes."""
+        return torch.tensor([model == FISHEYE for model in self.models], device=self.focal.device)
+
+    @cached_property
+    def coefficients(self) -> int:
+        """How many coefficients of distortion any camera needs: none, five or eight; eight where somebody wants
+        derivatives in them."""
+        if self.distortion.requires_grad or bool((self.distortion[:, 5:] != 0.0).any()):
+            return COEFFICIENTS
+        return 5 if FISHEYE in self.models or bool((self.distortion != 0.0).any()) else 0
+
+    def moved(
+        self,
+        focal: Float[Tensor, "g 2"],
+        principal_point: Float[Tensor, "g 2"],
+        distortion: Float[Tensor, "g 8"],
+        coefficients: int,
+    ) -> "Cameras":
+        """With other numbers, of which so many `coefficients` of distortion, or as many as before, may differ from
+        zero: nothing has to wait for a look at them."""
+        moved = replace(self, focal=focal, principal_point=principal_point, distortion=distortion)
+        moved.__dict__["coefficients"] = max(coefficients, self.coefficients)
+        return moved
 
     def detached(self) -> "Cameras":
         """The same without a graph."""
-        return Cameras(self.sizes, self.focal.detach(), self.principal_point.detach(), self.distortion.detach())
+        return replace(
+            self,
+            focal=self.focal.detach(),
+            principal_point=self.principal_point.detach(),
+            distortion=self.distortion.detach(),
+        )
+
+
+def _padded(distortion: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch 8"]:
+    """Coefficients of distortion, then zeros."""
+    missing = COEFFICIENTS - distortion.shape[-1]
+    return pad(distortion, (0, missing)) if missing else distortion
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,9 +16,10 @@ class Truth:
     """True cameras by the names of their photographs; planes as rectangles.
 
     rotation: cam_from_world. A plane is corner + s edge1 + t edge2 with s and t from 0 to 1. The water surface, where
-    there is one, is z = 0; index_ratio is n_water / n_air, intrinsics those of all photographs, None where they are not
-    known. surface: all that cameras see, the planes among it, as triangles; None: there are only the planes.
-    water_extent: corners of the water as seen from above; None: it is everywhere. folder: where it was read from.
+    there is one, is z = 0; index_ratio is n_water / n_air, intrinsics those of all photographs or, as a batch, of each,
+    None where they are not known. surface: all that cameras see, the planes among it, as triangles; None: there are
+    only the planes. water_extent: corners of the water as seen from above; None: it is everywhere. folder: where it was
+    read from.
     """
 
     names: tuple[str, ...]

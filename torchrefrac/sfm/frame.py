@@ -34,8 +34,9 @@ def final_frame(scene: Scene, capture: Capture) -> Similarity:
     measured = capture.has_height[registered]
     scale, lift = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
     if refractive:
-        found, wanted = center[measured, 2], capture.height[registered][measured]
-        scale = fit_heights(found, wanted).scale if bool(measured.any()) else 1.0 / center[0, 2]
+        rows = registered[measured]
+        stated = capture.height[rows], capture.height_sigma[rows]
+        scale = fit_heights(center[measured, 2], *stated).scale if len(rows) else 1.0 / center[0, 2]
     else:
         lift = torch.where(measured[0], capture.height[first], 1.0) - center[0, 2]
     shift = torch.stack((-center[0, 0], -center[0, 1], lift))

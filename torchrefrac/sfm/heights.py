@@ -10,8 +10,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-RELATIVE_SIGMA = 0.01
-"""Of a stated height. What images say is more exact by far."""
 FAR = 3.5
 LEAST_FOR_OFFSET = 4
 
@@ -25,13 +23,13 @@ class HeightFit:
     agrees: Bool[Tensor, " k"]
 
 
-def fit_heights(found: Float[Tensor, " k"], stated: Float[Tensor, " k"]) -> HeightFit:
-    """Heights above the water as they were found, in any unit, and as they were stated.
+def fit_heights(found: Float[Tensor, " k"], stated: Float[Tensor, " k"], sigma: Float[Tensor, " k"]) -> HeightFit:
+    """Heights above the water as they were found, in any unit, and as they were stated, with standard deviations.
 
-    The least-squares scale where all agree within FAR standard deviations of RELATIVE_SIGMA; else the scale and offset
-    with which LEAST_FOR_OFFSET or more all agree; else the scale of those that agree with their median.
+    The least-squares scale where all agree within FAR standard deviations; else the scale and offset with which
+    LEAST_FOR_OFFSET or more all agree; else the scale of those that agree with their median.
     """
-    sigma, nothing = RELATIVE_SIGMA * stated.abs(), torch.zeros_like(stated)
+    nothing = torch.zeros_like(stated)
     plain = _fit(found, stated, torch.ones_like(stated))
     if bool(_agree(found, stated, plain, nothing[0], sigma).all()):
         return HeightFit(plain, nothing[0], nothing == 0.0)

@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from torchrefrac.atomic import replacing
 from torchrefrac.camera import Intrinsics
 from torchrefrac.files.capture import FORMAT as CAPTURE_FORMAT
-from torchrefrac.files.capture import intrinsics_content
+from torchrefrac.files.intrinsics import intrinsics_content
 from torchrefrac.files.mesh import write_mesh
 from torchrefrac.files.survey import FORMAT as SURVEY_FORMAT
 from torchrefrac.files.truth import POINTS_FILE

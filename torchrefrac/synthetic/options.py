@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from torchrefrac.checks import Range, require, require_between, require_ranges
-from torchrefrac.files.capture import MAX_INDEX_RATIO
+from torchrefrac.scene.interfaces import MAX_INDEX_RATIO
 
 MAX_SAMPLES = 16
 MAX_IMAGES = 500
