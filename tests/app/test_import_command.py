@@ -9,6 +9,7 @@ import pytest
 
 from tests.files.metadata import oracle
 from tests.files.metadata.made_photographs import gps, packet, write_photograph
+from torchrefrac import load_capture
 
 DJI = {"Make": "DJI", "Model": "FC6310", "FocalLength": (88, 10)}
 FLIGHT = [(44.0, -90.0, 0.0), (44.0, -70.0, 1.0), (224.0, -85.0, 180.0)]  # yaw, pitch, roll
@@ -34,9 +35,10 @@ def flight(tmp_path):
 
 @pytest.fixture
 def read(tmp_path):
-    """`read("river")`: the capture.json and import.json in that folder."""
+    """`read("river")`: the capture.json and import.json in that folder; the former is one that can be loaded."""
 
     def of(name):
+        load_capture(tmp_path / name)
         return [json.loads((tmp_path / name / file).read_text()) for file in ("capture.json", "import.json")]
 
     return of
@@ -46,7 +48,7 @@ def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_flight_becomes_a_capture(torchrefrac, flight, read):
+def test_a_flight_becomes_a_capture(torchrefrac, flight, read, tmp_path):
     before = contents(flight)
 
     ended = torchrefrac("import", "photos=DCIM", "out=river")
@@ -77,6 +79,13 @@ def test_a_flight_becomes_a_capture(torchrefrac, flight, read):
     assert capture["georeference"]["vertical"] == "sea level"
     assert report["position"] == {"XMP drone-dji": 3}
     assert contents(flight) == before
+    loaded = load_capture(tmp_path / "river")
+    assert loaded.paths[0].samefile(flight / "DJI_0000.JPG")
+    assert loaded.position_sigma.tolist() == [[1.5, 1.5, 3.0]] * 3
+    assert loaded.cameras.focal_sigma.tolist() == [0.05]
+    assert loaded.has_gravity
+    assert not loaded.has_height.any()
+    assert loaded.georeference.vertical == "sea level"
 
 
 def test_the_same_again_gives_the_same_bytes(torchrefrac, flight, tmp_path):

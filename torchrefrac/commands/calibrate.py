@@ -22,6 +22,7 @@ from torchrefrac.scene.capture import CaptureError
 
 FEWEST_PHOTOGRAPHS = 4  # from different sides; fewer leave the focal length open
 LEAST_SIGMA = 1e-4  # relative; boards are not flatter than that
+LEAST_CENTER_SIGMA = 0.05  # px
 COVERAGE = 0.6  # of the image's sides that corners must reach over
 UNDETERMINED = 0.02  # relative sigma of a focal length from which on it is said
 FISHEYE: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else cv2.fisheye  # where OpenCV 5 and 4 have its flags
@@ -126,7 +127,18 @@ def _calibrated(
     model = "fisheye" if options.model == "fisheye" else "opencv"
     return Calibration(
         size=size,
-        lens=Lens((fx, fy), (cx + 0.5, cy + 0.5), tuple(distortion), relative, source, source, source, model),
+        lens=Lens(
+            (fx, fy),
+            (cx + 0.5, cy + 0.5),
+            tuple(distortion),
+            relative,
+            source,
+            source,
+            source,
+            model,
+            max(float(sigma[2]), float(sigma[3]), LEAST_CENTER_SIGMA),
+            max(float(sigma[4:].max()), LEAST_SIGMA),
+        ),
         rms=math.sqrt(float((errors**2 * counts).sum() / counts.sum())),
         photographs=len(found),
         corners=int(counts.sum()),

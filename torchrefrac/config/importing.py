@@ -5,7 +5,7 @@ from typing import Literal
 
 from torchrefrac.checks import Range, require_ranges
 from torchrefrac.config.build import OptionError
-from torchrefrac.files.capture import MAX_INDEX_RATIO
+from torchrefrac.scene.interfaces import MAX_INDEX_RATIO
 
 ANY_ALTITUDE = Range(at_least=-1e5, at_most=1e6)  # m
 

@@ -168,10 +168,6 @@ class Fields:
     def is_list(self, name: str) -> bool:
         return isinstance(self._get(name), list)
 
-    def has_length(self, name: str, length: int) -> bool:
-        """Whether it is a list of so many."""
-        return self.is_list(name) and len(self._get(name)) == length
-
     def texts(self, name: str) -> list[str]:
         """A list of texts."""
         value = self._get(name)

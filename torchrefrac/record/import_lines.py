@@ -3,12 +3,14 @@
 import os
 import shlex
 from collections.abc import Iterator, Mapping
+from functools import partial
 from textwrap import wrap
 from typing import Any
 
 WIDTH, INDENT, LABEL, VALUE = 100, 2, 17, 25
 MOST_LISTED = 12  # photographs with a reason each
 ASSUMED = "not found: assumed"
+_wrap = partial(wrap, break_on_hyphens=False)
 
 
 def import_lines(report: Mapping[str, Any]) -> list[str]:
@@ -25,7 +27,7 @@ def import_lines(report: Mapping[str, Any]) -> list[str]:
     if left_out:
         lines += ["", "left out", *_listed(left_out)]
     for note in report["notes"]:
-        lines += ["", *wrap(note, WIDTH)]
+        lines += ["", *_wrap(note, WIDTH)]
     out = os.path.relpath(report["out"])
     lines += ["", f"written to {out}; go on with:"]
     return [*lines, f"  torchrefrac scene=capture {shlex.quote(f'scene.path={out}')} out=outputs/my_run"]
@@ -44,7 +46,8 @@ def _statements(report: Mapping[str, Any]) -> Iterator[str]:
     used, sigma = report["used"], report["position_sigma"]
     yield from _counted("gravity", report["gravity"], used, f"+- {report['gravity_sigma_deg']} degrees",
                         "it will be estimated from the refraction")  # fmt: skip
-    north = f"true north lies {report['north_deg']:+.2f} degrees from the grid's" if report["crs"] else ""
+    side = "left" if report["north_deg"] < 0.0 else "right"
+    north = f"true north is {abs(report['north_deg']):.2f} degrees {side} of the grid's" if report["crs"] else ""
     yield from _counted("heading", report["heading"], used, "", "nothing needs it", north)
     known = "" if sigma is None else f"+- {sigma[0]:.2g}, {sigma[2]:.2g} m"
     yield from _counted("position", report["position"], used, known, "the scale follows from heights alone",
@@ -69,7 +72,7 @@ def _counted(
 
 def _row(label: str, value: str, source: str) -> list[str]:
     """Three columns; what does not fit into the last goes on below."""
-    first, *rest = wrap(source, WIDTH - INDENT - LABEL - VALUE - 4) or [""]
+    first, *rest = _wrap(source, WIDTH - INDENT - LABEL - VALUE - 4) or [""]
     left = INDENT + LABEL + VALUE
     return [
         f"{'':{INDENT}}{label:<{LABEL}} {value:<{VALUE}}  {first}".rstrip(),
@@ -84,6 +87,6 @@ def _listed(reasons: Mapping[str, str]) -> Iterator[str]:
         by_reason.setdefault(reason, []).append(name)
     for reason, names in list(by_reason.items())[:MOST_LISTED]:
         shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        yield from wrap(f"{shown}: {reason}", WIDTH - INDENT, initial_indent="  ", subsequent_indent="    ")
+        yield from _wrap(f"{shown}: {reason}", WIDTH - INDENT, initial_indent="  ", subsequent_indent="    ")
     if len(by_reason) > MOST_LISTED:
         yield f"  and {len(by_reason) - MOST_LISTED} reasons more, in import.json"

@@ -5,14 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from torchrefrac.files.capture import SEVERAL as FORMAT
 from torchrefrac.files.metadata.gathered import Gathered
-from torchrefrac.files.metadata.lens import Lens
+from torchrefrac.files.metadata.lens import DIGITS, Lens
 from torchrefrac.files.metadata.placing import Placement
 from torchrefrac.files.metadata.position import Vertical
 from torchrefrac.scene.capture import CaptureError
-
-FORMAT = "torchrefrac-capture/2"
-DIGITS = 9  # of unit vectors and positions: more than anything measures, and the same on every machine
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,10 @@ def capture_content(
     gravity_sigma, position_sigma = _commonest(sigmas), _commonest(spreads)
     content: dict[str, Any] = {"format": FORMAT, "length_unit": "m", "pixel_origin": "corner", "folder": folder}
     content["index_ratio"] = water.index_ratio
-    content["cameras"] = {name: _camera(name, lens, gathered) for name, lens in lenses.items()}
+    content["cameras"] = {
+        name: lens.content(next(one.photograph.size for one in gathered if one.camera == name))
+        for name, lens in lenses.items()
+    }
     if gravity_sigma is not None:
         content["down_in_cam_sigma_deg"] = gravity_sigma
     if position_sigma is not None:
@@ -78,13 +79,6 @@ def height_of(one: Gathered, placement: Placement, row: int, water: Water) -> fl
             f"in which its altitude is counted from the {placement.vertical or 'take-off'}"
         )
     return height
-
-
-def _camera(name: str, lens: Lens, gathered: Sequence[Gathered]) -> dict[str, Any]:
-    width, height = next(one.photograph.size for one in gathered if one.camera == name)
-    numbers = (width, height, *map(_rounded, (*lens.focal, *lens.principal_point)))
-    named = dict(zip(("width", "height", "fx", "fy", "cx", "cy"), numbers, strict=True))
-    return {"model": lens.model, **named, "distortion": list(lens.distortion), "sigma": {"focal": lens.sigma}}
 
 
 def _commonest(values: Sequence[Any]) -> Any:

@@ -10,6 +10,7 @@ from torchrefrac.files.metadata.placing import Place
 from torchrefrac.files.metadata.position import Vertical
 from torchrefrac.files.metadata.table import Row
 
+LEAST_DOWN = 1e-6  # of the third component of gravity; captures refuse 0
 SKY = "it looks at the horizon or above by its gravity"
 
 
@@ -27,7 +28,7 @@ class Gathered:
 
     @property
     def looks_up(self) -> bool:
-        return self.attitude is not None and self.attitude.down_in_cam[2] <= 0.0
+        return self.attitude is not None and self.attitude.down_in_cam[2] < LEAST_DOWN
 
 
 def gather(

@@ -2,8 +2,10 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from torchrefrac.camera import Intrinsics
+from torchrefrac.files.intrinsics import NUMBERS
 from torchrefrac.files.metadata.exif import Exif
 from torchrefrac.files.metadata.sensors import sensor_width
 from torchrefrac.files.metadata.xmp import Xmp
@@ -18,14 +20,16 @@ MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # FocalPlaneResolutionUnit
 FILM_DIAGONAL = math.hypot(36.0, 24.0)
 WIDER_THAN_A_SENSOR = 1.6  # sides of a photograph that is cropped, above and below, from a sensor of 4:3
 DIAGONAL_OF_A_SENSOR = 1.25  # in units of its width
+DIGITS = 9  # of what is written
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Pixels, counted from the corner of the image; distortion as in OpenCV (k1 k2 p1 p2 k3). sigma: of the focal
-    length, relative. source, center_source, distortion_source: what said so; empty: assumed. model: of the distortion,
-    "opencv" or "fisheye"."""
+    """Pixels, counted from the corner of the image; distortion as in OpenCV. sigma: of the focal length, relative;
+    center_sigma, px, and distortion_sigma, of each coefficient: None where nobody knows. source, center_source,
+    distortion_source: what said so; empty: assumed. model: of the distortion, "opencv" (0, 4, 5 or 8 coefficients) or
+    "fisheye" (4)."""
 
     focal: tuple[float, float]
     principal_point: tuple[float, float]
@@ -35,10 +39,23 @@ class Lens:
     center_source: str = ""
     distortion_source: str = ""
     model: str = "opencv"
+    center_sigma: float | None = None
+    distortion_sigma: float | None = None
 
     @property
     def is_guessed(self) -> bool:
         return self.sigma >= GUESSED_SIGMA
+
+    def content(self, size: tuple[int, int]) -> dict[str, Any]:
+        """As JSON has it, for images of some size."""
+        numbers = (*size, *(round(number, DIGITS) for number in (*self.focal, *self.principal_point)))
+        sigma = {"focal": self.sigma, "principal_point": self.center_sigma, "distortion": self.distortion_sigma}
+        return {
+            "model": self.model,
+            **dict(zip(NUMBERS, numbers, strict=True)),
+            "distortion": [round(number, DIGITS) for number in self.distortion],
+            "sigma": {name: number for name, number in sigma.items() if number is not None},
+        }
 
 
 def lens_of(exif: Exif, xmp: Xmp, width: int, height: int) -> Lens:

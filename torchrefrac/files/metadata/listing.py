@@ -23,8 +23,8 @@ class Listing(NamedTuple):
 
 
 def list_photographs(sources: Sequence[str], apart: Path) -> Listing:
-    """The files of folders and what lies in them, of patterns, and single files, each once; hidden ones and what lies
-    XX Raises CaptureError where nothing is there."""
+    """The files of folders and what lies in them, of patterns, and single files, each once; hidden ones, and frames
+    among the results in `apart`, are not looked at. Raises CaptureError where nothing is there."""
     files: dict[Path, None] = {}
     for source in sources:
         found = list(_files(source, apart))
