@@ -14,11 +14,12 @@ from torchrefrac.config.importing import ImportOptions
 from torchrefrac.files.fields import read_json, write_json
 from torchrefrac.files.metadata.camera_file import lens_for
 from torchrefrac.files.metadata.content import Water, capture_content
+from torchrefrac.files.metadata.film import take_frames, write_times
 from torchrefrac.files.metadata.gathered import SKY, Gathered, gather, relative_names
 from torchrefrac.files.metadata.grouping import by_camera, camera_names
 from torchrefrac.files.metadata.kinds import left_out_by_kind
 from torchrefrac.files.metadata.lens import GUESSED_SIGMA, Lens, centered
-from torchrefrac.files.metadata.listing import Listing, common_folder, list_photographs
+from torchrefrac.files.metadata.listing import IMAGES, Listing, common_folder, list_photographs
 from torchrefrac.files.metadata.photograph import Photograph, read_photograph
 from torchrefrac.files.metadata.placing import Placement, place_all
 from torchrefrac.files.metadata.position import Vertical
@@ -30,7 +31,7 @@ from torchrefrac.files.swap import PARTIAL, alone, finish, remove_if_empty, swap
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene.capture import CaptureError
 
-CAPTURE, REPORT = "capture.json", "import.json"
+CAPTURE, REPORT, TIMES = "capture.json", "import.json", "frames.csv"
 REPORT_FORMAT = "torchrefrac-import/1"
 FOCAL_BY_USER_SIGMA = 0.02
 
@@ -93,10 +94,14 @@ def _earlier_files(out: Path) -> list[str]:
 
 def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recorder) -> dict[str, Any]:
     listing = list_photographs(options.sources, out)
+    film = _film(options, listing)
+    if film is not None:
+        listing = Listing(_frames(film, place, options, recorder), {}, [])
     selection = _select(listing, options, recorder)
     photographs = selection.photographs
     folder = common_folder(one.path for one in photographs)
-    _require_apart(out, photographs)
+    if film is None:
+        _require_apart(out, photographs)
     names = relative_names([one.path for one in photographs], folder)
     rows, crs = _rows(options, names)
     cameras = camera_names(photographs, options.cameras)
@@ -108,21 +113,36 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
     vertical = None if options.vertical == "auto" else Vertical[options.vertical.upper()]
     placement = place_all([one.place for one in gathered], options.crs or crs, vertical)
     water = Water(options.index_ratio, options.water_level, options.take_off_above_water)
-    content = capture_content(_folder_name(folder, out), gathered, lenses, placement, water)
+    where = IMAGES if film is not None else _folder_name(folder, out)
+    content = capture_content(where, gathered, lenses, placement, water)
     write_json(content, place / CAPTURE)
     left_out = {_shown(path, folder): reason for path, reason in selection.left_out.items()}
     report: dict[str, Any] = {
         "format": REPORT_FORMAT,
         "capture_sha256": _digest((place / CAPTURE).read_bytes()),
-        "files": [CAPTURE, REPORT],
+        "files": [*(path.relative_to(place).as_posix() for path in sorted(place.rglob("*.*"))), REPORT],
         "out": str(out),
-        "folder": str(folder),
+        "folder": str(folder if film is None else out / IMAGES),
         **_found(content, gathered, lenses, placement),
         "left_out": left_out,
         "notes": _notes(gathered, listing, options),
     }
     write_json(report, place / REPORT)
     return report
+
+
+def _film(options: ImportOptions, listing: Listing) -> Path | None:
+    """The film that is imported, where it is the only file that was named."""
+    if listing.pictures or len(listing.films) != 1 or len(options.sources) != 1:
+        return None
+    return listing.films[0] if Path(options.sources[0]).expanduser().is_file() else None
+
+
+def _frames(film: Path, place: Path, options: ImportOptions, recorder: Recorder) -> list[Path]:
+    """Frames of a film, written with their times."""
+    frames = take_frames(film, place / IMAGES, options.film.overlap, options.film.most, recorder)
+    write_times(frames, place / TIMES)
+    return [path for path, _ in frames]
 
 
 def _select(listing: Listing, options: ImportOptions, recorder: Recorder) -> _Selection:

@@ -54,6 +54,17 @@ def test_photographs_of_a_camera_share_the_best_lens_that_any_of_them_knows():
     assert shared_lens([rough, *known]) == replace(known[1], principal_point=(48.0, 36.0))
 
 
+@pytest.fixture(scope="module")
+def series():
+    """Five images with detail of every size."""
+    images = []
+    for i in range(5):
+        noise = np.random.default_rng(i).normal(size=(240, 320, 3))
+        noise = sum(2.0 * size * cv2.GaussianBlur(noise, (0, 0), size) for size in (1.0, 2.0, 4.0, 8.0, 16.0))
+        images.append((128 + 22 * noise).clip(30, 220).astype(np.uint8))
+    return images
+
+
 def _blurred(image, size):
     return cv2.GaussianBlur(image, (0, 0), size)
 
@@ -76,12 +87,9 @@ def _moved(image, pixels):
         (lambda image: 251 + image // 70, "burnt out"),
     ],
 )
-def test_a_useless_photograph_among_others_has_a_reason(tmp_path, change, reason):
+def test_a_useless_photograph_among_others_has_a_reason(tmp_path, series, change, reason):
     paths = [tmp_path / f"{i}.png" for i in range(5)]
-    for i, path in enumerate(paths):
-        noise = np.random.default_rng(i).normal(size=(480, 640, 3))
-        noise = sum(2.0 * size * cv2.GaussianBlur(noise, (0, 0), size) for size in (1.0, 2.0, 4.0, 8.0, 16.0))
-        image = (128 + 22 * noise).clip(30, 220).astype(np.uint8)
+    for i, (path, image) in enumerate(zip(paths, series, strict=True)):
         cv2.imwrite(str(path), change(image) if i == 2 else image)
 
     reasons = useless(look_at(paths))

@@ -14,11 +14,11 @@ REDUCED = cv2.IMREAD_REDUCED_GRAYSCALE_2 | cv2.IMREAD_IGNORE_ORIENTATION
 BLACK, WHITE = 12.0, 250.0  # grey values below or above which nearly all of a useless photograph lies
 NEARLY_ALL = 99.0  # percent
 NEIGHBOURS = 4  # on either side, in the order of the names
-BLURRED = 0.05  # of its neighbours' sharpness: by a spot or a motion of 5 pixels and more; sharp ones differ by a fifth
+BLURRED = 0.03  # of its neighbours' sharpness: by a spot or a motion of 10 pixels; sharp ones differ by a quarter
 
 
 class Quality(NamedTuple):
-    """sharpness: share of its contrast that lies in the finest details, 0 to 1; dark and bright: grey values that
+    """sharpness: contrast of the finest details in units of that of coarse ones; dark and bright: grey values that
     nearly all of it is below or above."""
 
     sharpness: float
@@ -32,10 +32,11 @@ def look_at(paths: Sequence[Path]) -> list[Quality]:
 
 
 def sharpness(grey: cv2.typing.MatLike) -> float:
-    """How much of the contrast of a grey image is lost when neighbouring pixels are averaged along rows or columns,
-    whichever loses less: what moved in one direction is sharp across it."""
+    """What a grey image loses when neighbouring pixels are averaged along rows or columns, in units of its contrast
+    between places some ten pixels apart, which no blur takes away. Rows or columns, whichever loses less: what moved in
+    one direction is sharp across it."""
     fine = grey.astype(np.float32)
-    contrast = float(np.var(cv2.GaussianBlur(fine, (0, 0), 1.0) - cv2.GaussianBlur(fine, (0, 0), 4.0))) + 1.0
+    contrast = float(np.var(cv2.GaussianBlur(fine, (0, 0), 4.0) - cv2.GaussianBlur(fine, (0, 0), 12.0))) + 1.0
     return min(float(np.var(fine - cv2.blur(fine, size))) for size in ((3, 1), (1, 3))) / contrast
 
 
