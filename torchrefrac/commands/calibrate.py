@@ -14,7 +14,7 @@ from torchrefrac.config.importing import CalibrateOptions
 from torchrefrac.files.metadata.boards import Board
 from torchrefrac.files.metadata.camera_file import write_camera
 from torchrefrac.files.metadata.header import read_header
-from torchrefrac.files.metadata.lens import Lens
+from torchrefrac.files.metadata.lens import GUESSED_SIGMA, Lens
 from torchrefrac.files.metadata.listing import list_photographs
 from torchrefrac.files.paths import real_path
 from torchrefrac.recorder import Recorder
@@ -24,6 +24,7 @@ FEWEST_PHOTOGRAPHS = 4  # from different sides; fewer leave the focal length ope
 LEAST_SIGMA = 1e-4  # relative; boards are not flatter than that
 LEAST_CENTER_SIGMA = 0.05  # px
 COVERAGE = 0.6  # of the image's sides that corners must reach over
+LEAST_TILT_DEG = 15.0  # between two photographs; where all show the board from one side, any focal length fits
 UNDETERMINED = 0.02  # relative sigma of a focal length from which on it is said
 FISHEYE: Any = cv2 if hasattr(cv2, "CALIB_RECOMPUTE_EXTRINSIC") else cv2.fisheye  # where OpenCV 5 and 4 have its flags
 FLAGS = {"opencv": 0, "rational": cv2.CALIB_RATIONAL_MODEL}
@@ -115,7 +116,7 @@ def _calibrated(
 ) -> Calibration:
     corners = list(found.values())
     try:
-        numbers, errors = _fitted(size, corners, options.model)
+        numbers, errors, tilt = _fitted(size, corners, options.model)
         sigma = _jackknife(size, corners, options.model)
     except cv2.error as error:
         remedy = "photograph the board larger, sharper and from more sides"
@@ -123,7 +124,7 @@ def _calibrated(
     fx, fy, cx, cy, *distortion = numbers.tolist()
     counts = np.array([len(pixels) for _, pixels in corners])
     worst, source = int(errors.argmax()), Path(options.out).name
-    relative = max(float(sigma[0]) / fx, float(sigma[1]) / fy, LEAST_SIGMA)
+    relative = max(float(sigma[0]) / fx, float(sigma[1]) / fy, LEAST_SIGMA if tilt > LEAST_TILT_DEG else GUESSED_SIGMA)
     model = "fisheye" if options.model == "fisheye" else "opencv"
     return Calibration(
         size=size,
@@ -150,9 +151,9 @@ def _calibrated(
 
 def _fitted(
     size: tuple[int, int], corners: Sequence[Corners], model: str
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " m"]]:
-    """fx, fy, cx, cy as OpenCV counts pixels, and the coefficients; and the error of each photograph (px, root mean
-    square)."""
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " m"], float]:
+    """fx, fy, cx, cy as OpenCV counts pixels, and the coefficients; the error of each photograph (px, root mean
+    square); and by how many degrees the board was tilted from one photograph to another at most."""
     places, pixels = (list(part) for part in zip(*corners, strict=True))
     if model == "fisheye":
         across = [part.reshape(-1, 1, 3).astype(np.float64) for part in places]
@@ -177,7 +178,9 @@ def _fitted(
     errors = [math.sqrt(float(np.square(there.reshape(-1, 2) - part).sum(axis=1).mean()))
               for there, part in zip(projected, pixels, strict=True)]  # fmt: skip
     numbers = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *coefficients.ravel()[: COEFFICIENTS[model]])
-    return np.array(numbers), np.array(errors)
+    normals = np.stack([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
+    tilt = math.degrees(math.acos(min(max(float((normals @ normals.T).min()), -1.0), 1.0)))
+    return np.array(numbers), np.array(errors), tilt
 
 
 def _jackknife(size: tuple[int, int], corners: Sequence[Corners], model: str) -> Float[np.ndarray, " k"]:
