@@ -17,6 +17,7 @@ from torchrefrac.files.metadata.content import Water, capture_content
 from torchrefrac.files.metadata.film import take_frames, write_times
 from torchrefrac.files.metadata.gathered import SKY, Gathered, gather, relative_names
 from torchrefrac.files.metadata.grouping import by_camera, camera_names
+from torchrefrac.files.metadata.half_turns import with_right_halves
 from torchrefrac.files.metadata.kinds import left_out_by_kind
 from torchrefrac.files.metadata.lens import GUESSED_SIGMA, Lens, centered
 from torchrefrac.files.metadata.listing import IMAGES, Listing, common_folder, list_photographs
@@ -106,6 +107,9 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
     rows, crs = _rows(options, names)
     cameras = camera_names(photographs, options.cameras)
     sigma = options.position_sigma
+    notes: list[str] = []
+    if options.look:
+        photographs, notes = with_right_halves(photographs)
     gathered = gather(
         photographs, names, rows, cameras, options.gravity_sigma_deg, None if sigma is None else (sigma[0], sigma[1])
     )
@@ -125,7 +129,7 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
         "folder": str(folder if film is None else out / IMAGES),
         **_found(content, gathered, lenses, placement),
         "left_out": left_out,
-        "notes": _notes(gathered, listing, options),
+        "notes": [*notes, *_notes(gathered, listing, options)],
     }
     write_json(report, place / REPORT)
     return report
