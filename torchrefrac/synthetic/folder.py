@@ -14,11 +14,13 @@ from torchrefrac.camera import Intrinsics
 from torchrefrac.files.capture import FORMAT as CAPTURE_FORMAT
 from torchrefrac.files.intrinsics import intrinsics_content
 from torchrefrac.files.mesh import write_mesh
+from torchrefrac.files.metadata.dji_tags import write_with_tags
 from torchrefrac.files.survey import FORMAT as SURVEY_FORMAT
 from torchrefrac.files.truth import POINTS_FILE
 from torchrefrac.geometry.surfaces import Rectangle
 from torchrefrac.recorder import Recorder
 from torchrefrac.synthetic.attitude import Attitude, measure_attitude, measure_positions
+from torchrefrac.synthetic.drone import drone_tags
 from torchrefrac.synthetic.options import SyntheticOptions
 from torchrefrac.synthetic.photograph import Photographer, develop
 from torchrefrac.synthetic.stage import Stage, StageError
@@ -66,10 +68,12 @@ def render_into(
     _write_json(scene, folder / "scene.json")
     _write_json(capture, folder / "capture.json")
     _write_json(_truth(stage, options, attitude), folder / "truth.json")
+    tags = drone_tags(stage, photographer.intrinsics, options) if options.metadata == "drone" else None
     for image, name in recorder.track(enumerate(names), len(names), f"rendering {options.label}", "image"):
         path = folder / "images" / name
         if not path.is_file():
-            write_photograph(develop(photographer.take(image), options.sensor, options.seed, image), path)
+            taken = develop(photographer.take(image), options.sensor, options.seed, image)
+            write_photograph(taken, path) if tags is None else write_with_tags(taken, tags[image], path)
     _write_truth_points(photographer, folder / POINTS_FILE)
     _write_surface(stage, folder / SURFACE_FILE)
 

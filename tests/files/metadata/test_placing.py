@@ -53,7 +53,7 @@ def test_north_is_turned_by_the_convergence_of_meridians(latitude, longitude):
     place, north = grid.place([latitude], [longitude])
 
     assert north[0] == pytest.approx(-convergence, abs=2e-3)  # east of the middle, true north is to the left
-    assert grid.north_at(place)[0] == pytest.approx(north[0], abs=1e-9)
+    assert grid.degrees(place)[2][0] == pytest.approx(north[0], abs=1e-9)
 
 
 def test_differences_of_positions_are_those_on_the_earth():

@@ -75,6 +75,19 @@ def cam_from_world(
     return cam_from_body @ body_from_north_east_down(yaw, pitch, roll) @ down_from_world
 
 
+def angles_of(
+    cam_from_world: Float[Tensor, "*batch 3 3"],
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
+    """Yaw, pitch and roll of a gimbal, radians: the inverse of the function above for a camera that looks forward."""
+    cam_from_body, down_from_world = (
+        cam_from_world.new_tensor(rows) for rows in (Mount.FORWARD.value, NORTH_EAST_DOWN_FROM_WORLD)
+    )
+    body = cam_from_body.mT @ cam_from_world @ down_from_world.mT
+    forward, side, belly = body.unbind(dim=-2)
+    yaw, roll = torch.atan2(forward[..., 1], forward[..., 0]), torch.atan2(side[..., 2], belly[..., 2])
+    return yaw, -forward[..., 2].clamp(-1.0, 1.0).asin(), roll
+
+
 def as_stored(shown: tuple[float, float, float], orientation: int) -> tuple[float, float, float] | None:
     """A vector in the axes of the image as it is shown, in those of the image as stored, by the EXIF orientation; None
     where the image is mirrored."""

@@ -65,10 +65,10 @@ class Grid:
         east, north = (beyond - here).T
         return here, np.degrees(np.arctan2(east, north))
 
-    def north_at(self, point: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """The same bearing at points (east, north)."""
-        longitude, latitude = self._from_degrees.transform(*point.T, direction="INVERSE")
-        return self.place(latitude.tolist(), longitude.tolist())[1]
+    def degrees(self, point: Float[np.ndarray, "n 2"]) -> tuple[list[float], list[float], Float[np.ndarray, " n"]]:
+        """Latitude and longitude of points (east, north), and the same bearing there."""
+        longitude, latitude = (part.tolist() for part in self._from_degrees.transform(*point.T, direction="INVERSE"))
+        return latitude, longitude, self.place(latitude, longitude)[1]
 
     def _transform(self, latitude: Float[np.ndarray, " n"], longitude: Sequence[float]) -> Float[np.ndarray, "n 2"]:
         east, north = self._from_degrees.transform(np.asarray(longitude, dtype=float), latitude)

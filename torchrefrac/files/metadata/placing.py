@@ -60,7 +60,7 @@ def place_all(places: Sequence[Place | None], crs: str | None, wanted: Vertical 
     position, north = np.zeros((count, 3)), np.zeros(count)
     if points:
         position[points, :2] = [some[i].point or (0.0, 0.0) for i in points]
-        north[points] = 0.0 if grid is None else grid.north_at(position[points, :2])
+        north[points] = 0.0 if grid is None else grid.degrees(position[points, :2])[2]
     if degrees and grid is not None:
         latitude, longitude = zip(*(some[i].degrees or (0.0, 0.0) for i in degrees), strict=True)
         position[degrees, :2], north[degrees] = grid.place(latitude, longitude)
