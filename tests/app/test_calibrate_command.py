@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from torchrefrac.files.metadata.camera_file import lens_for, read_camera
+from torchrefrac.files.metadata.camera_file import read_camera
 from torchrefrac.scene import CaptureError
 
 SIZE, FOCAL, CENTER = (640, 480), (520.0, 516.0), (326.0, 233.0)  # the latter as OpenCV counts pixels
@@ -82,7 +82,7 @@ def test_a_board_gives_the_camera_with_its_sigma(torchrefrac, boards, tmp_path, 
     ended = torchrefrac("calibrate", f"photos={boards / kind}", f"board={kind}", *sides, "out=camera.json")
 
     assert ended.status == 0, ended.err
-    size, lens = read_camera(tmp_path / "camera.json")
+    _, size, lens = read_camera(tmp_path / "camera.json")
     assert size == SIZE
     assert lens.sigma < 0.01
     assert max(abs(found / true - 1.0) for found, true in zip(lens.focal, FOCAL, strict=True)) < 3.0 * lens.sigma + 1e-3
@@ -106,10 +106,10 @@ def test_import_takes_the_camera(torchrefrac, boards, tmp_path):
     calibrated = json.loads((tmp_path / "camera.json").read_text())["camera"]
     assert camera == calibrated
     assert set(camera["sigma"]) == {"focal", "principal_point", "distortion"}
-    half = lens_for(tmp_path / "camera.json", (320, 240))
+    half = read_camera(tmp_path / "camera.json").for_size((320, 240))
     assert half.focal[0] == pytest.approx(0.5 * calibrated["fx"])
-    with pytest.raises(CaptureError, match=r"is of photographs of 640x480, but these are 480x640"):
-        lens_for(tmp_path / "camera.json", (480, 640))
+    with pytest.raises(CaptureError, match=r"is of photographs of 640x480, but some are 480x640"):
+        read_camera(tmp_path / "camera.json").for_size((480, 640))
 
 
 def test_photographs_from_one_side_say_what_they_leave_open(torchrefrac, boards, tmp_path):

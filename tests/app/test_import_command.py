@@ -130,13 +130,15 @@ def test_nothing_is_written_among_the_photographs(torchrefrac, flight, tmp_path,
 
 
 @pytest.mark.parametrize(
-    ("option", "heights"),
-    [("water_level=199.5", [30.5, 31.5, 32.5]), ("take_off_above_water=2", [42.0, 43.0, 44.0])],
+    ("option", "heights", "sigma"),
+    [("water_level=199.5", [30.5, 31.5, 32.5], 3.0), ("take_off_above_water=2", [42.0, 43.0, 44.0], 0.5)],
 )
-def test_heights_follow_from_what_the_user_knows_of_the_water(torchrefrac, flight, read, option, heights):
+def test_heights_follow_from_what_the_user_knows_of_the_water(torchrefrac, flight, read, option, heights, sigma):
     torchrefrac("import", "photos=DCIM", "out=river", option)
 
-    assert [image["height"] for image in read("river")[0]["images"]] == heights
+    images = read("river")[0]["images"]
+    assert [image["height"] for image in images] == heights
+    assert {image["height_sigma"] for image in images} == {sigma}
 
 
 def test_options_take_the_place_of_what_files_say(torchrefrac, flight, read):
@@ -262,6 +264,7 @@ def test_a_camera_that_looks_at_the_sky_has_no_gravity(torchrefrac, flight, read
         (["photos=DCIM", "crs=EPSG:4326"], "crs 'EPSG:4326' has no axes in metres"),
         (["photos=DCIM", "table=nothing.csv"], "nothing.csv does not exist, but table must be a CSV file"),
         (["photos=DCIM", "camera=nothing.json"], "nothing.json does not exist, but camera must be a file"),
+        (["photos=DCIM", "table=cameras.csv"], "JPG is 96x72, but others of camera 'left' are 72x96; name another"),
         (["photos=DCIM", "index_ratio=0.5"], "index_ratio is 0.5, but must lie between 1 and 3"),
         (["photos=DCIM", "position_sigma=[1,2,3]"], "position_sigma is [1.0, 2.0, 3.0], but must be two"),
         (["photos=DCIM", "vertical=up"], "vertical is 'up', but must be one of auto, ellipsoid"),
@@ -272,6 +275,8 @@ def test_a_camera_that_looks_at_the_sky_has_no_gravity(torchrefrac, flight, read
 def test_bad_input_is_one_sentence_and_leaves_nothing(torchrefrac, flight, tmp_path, arguments, sentence):
     (tmp_path / "empty").mkdir()
     write_photograph(tmp_path / "one" / "a.jpg", DJI)
+    write_photograph(flight / "b.jpg", DJI, size=(72, 96))
+    (tmp_path / "cameras.csv").write_text("name,camera\nDJI_0000,left\nb,left\n")
 
     ended = torchrefrac("import", *arguments, "out=river")
 

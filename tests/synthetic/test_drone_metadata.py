@@ -49,6 +49,7 @@ def test_import_finds_what_the_drone_truly_did(flight, tmp_path):
 
     capture, truth = load_capture(tmp_path / "river"), load_truth(folder)
     assert capture.names == truth.names
+    assert report["notes"] == []  # no gimbal of these went past straight down
     assert report["position"] == {"XMP drone-dji, RTK": 6}
     assert (capture.georeference.crs, capture.georeference.vertical) == (CRS, "ellipsoid")
     moved = torch.tensor(ORIGIN, dtype=torch.float64) - torch.tensor(capture.georeference.origin, dtype=torch.float64)

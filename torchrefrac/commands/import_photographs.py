@@ -3,30 +3,29 @@
 import hashlib
 import os
 import shutil
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from torchrefrac.commands.import_report import found, oddities
 from torchrefrac.commands.results import OutRefusedError
 from torchrefrac.config.importing import ImportOptions
 from torchrefrac.files.fields import read_json, write_json
-from torchrefrac.files.metadata.camera_file import lens_for
+from torchrefrac.files.metadata.camera_file import read_camera
 from torchrefrac.files.metadata.content import Water, capture_content
 from torchrefrac.files.metadata.film import take_frames, write_times
-from torchrefrac.files.metadata.gathered import SKY, Gathered, gather, relative_names
+from torchrefrac.files.metadata.gathered import gather, relative_names
 from torchrefrac.files.metadata.grouping import by_camera, camera_names
 from torchrefrac.files.metadata.half_turns import with_right_halves
 from torchrefrac.files.metadata.kinds import left_out_by_kind
-from torchrefrac.files.metadata.lens import GUESSED_SIGMA, Lens, centered
+from torchrefrac.files.metadata.lens import Lens, centered
 from torchrefrac.files.metadata.listing import IMAGES, Listing, common_folder, list_photographs
 from torchrefrac.files.metadata.photograph import Photograph, read_photograph
-from torchrefrac.files.metadata.placing import Placement, place_all
+from torchrefrac.files.metadata.placing import place_all
 from torchrefrac.files.metadata.position import Vertical
 from torchrefrac.files.metadata.quality import look_at, useless
 from torchrefrac.files.metadata.table import Row, read_table
-from torchrefrac.files.metadata.times import odd_times
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.swap import PARTIAL, alone, finish, remove_if_empty, swap
 from torchrefrac.recorder import Recorder
@@ -113,7 +112,7 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
     gathered = gather(
         photographs, names, rows, cameras, options.gravity_sigma_deg, None if sigma is None else (sigma[0], sigma[1])
     )
-    lenses = by_camera([one.camera for one in gathered], [_lens(one.photograph, options) for one in gathered])
+    lenses = by_camera(gathered, _lenses(photographs, options))
     vertical = None if options.vertical == "auto" else Vertical[options.vertical.upper()]
     placement = place_all([one.place for one in gathered], options.crs or crs, vertical)
     water = Water(options.index_ratio, options.water_level, options.take_off_above_water)
@@ -127,9 +126,9 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
         "files": [*(path.relative_to(place).as_posix() for path in sorted(place.rglob("*.*"))), REPORT],
         "out": str(out),
         "folder": str(folder if film is None else out / IMAGES),
-        **_found(content, gathered, lenses, placement),
+        **found(content, gathered, lenses, placement),
         "left_out": left_out,
-        "notes": [*notes, *_notes(gathered, listing, options)],
+        "notes": [*notes, *oddities(gathered, lenses, listing.films)],
     }
     write_json(report, place / REPORT)
     return report
@@ -194,14 +193,18 @@ def _rows(options: ImportOptions, names: Sequence[str]) -> tuple[Sequence[Row | 
     return table.of(names), table.crs
 
 
-def _lens(photograph: Photograph, options: ImportOptions) -> Lens:
-    lens = photograph.lens
+def _lenses(photographs: Sequence[Photograph], options: ImportOptions) -> list[Lens]:
+    """Of each photograph: the user's word goes before that of the file."""
+    lenses = [one.lens for one in photographs]
     if options.camera is not None:
-        lens = lens_for(Path(options.camera).expanduser(), photograph.size)
+        camera = read_camera(Path(options.camera).expanduser())
+        lenses = [camera.for_size(one.size) for one in photographs]
     elif options.focal_px is not None:
-        lens = replace(centered(options.focal_px, *photograph.size, FOCAL_BY_USER_SIGMA, "focal_px"),
-                       distortion=lens.distortion, distortion_source=lens.distortion_source)  # fmt: skip
-    return lens if options.focal_sigma is None else replace(lens, sigma=options.focal_sigma)
+        known = [centered(options.focal_px, *one.size, FOCAL_BY_USER_SIGMA, "focal_px") for one in photographs]
+        lenses = [replace(own, focal=new.focal, sigma=new.sigma, source=new.source)
+                  for own, new in zip(lenses, known, strict=True)]  # fmt: skip
+    sigma = options.focal_sigma
+    return lenses if sigma is None else [replace(lens, sigma=sigma) for lens in lenses]
 
 
 def _folder_name(folder: Path, out: Path) -> str:
@@ -216,67 +219,3 @@ def _shown(path: Path, folder: Path) -> str:
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
-
-
-def _found(
-    content: Mapping[str, Any], gathered: Sequence[Gathered], lenses: Mapping[str, Lens], placement: Placement
-) -> dict[str, Any]:
-    """How many photographs have what, by whose word."""
-    images = content["images"]
-    gravity = [one.attitude.source for one in gathered if one.attitude is not None and not one.looks_up]
-    placed = [one.place_source for one, known in zip(gathered, placement.known, strict=True) if known]
-    turned = [one.attitude.source for one, image in zip(gathered, images, strict=True)
-              if "heading_deg" in image and one.attitude is not None]  # fmt: skip
-    altitudes = placement.position[placement.known, 2] + placement.origin[2]
-    return {
-        "used": len(gathered),
-        "cameras": {
-            name: {
-                "photographs": sum(one.camera == name for one in gathered),
-                **{key: content["cameras"][name][key] for key in ("width", "height", "fx", "fy", "cx", "cy")},
-                "focal_sigma": lens.sigma,
-                "focal": lens.source,
-                "principal_point": lens.center_source,
-                "distortion": lens.distortion_source,
-            }
-            for name, lens in lenses.items()
-        },
-        "gravity": _counts(gravity),
-        "gravity_sigma_deg": content.get("down_in_cam_sigma_deg"),
-        "heading": _counts(turned),
-        "position": _counts(placed),
-        "position_sigma": content.get("position_sigma"),
-        "crs": placement.crs,
-        "origin": list(placement.origin),
-        "north_deg": round(float(placement.north_deg.mean()), 4),
-        "vertical": None if placement.vertical is None else str(placement.vertical),
-        "altitude_range": [float(altitudes.min()), float(altitudes.max())] if len(altitudes) else None,
-        "height": sum("height" in image for image in images),
-        "without_position": {gathered[i].name: reason for i, reason in placement.lacking.items()},
-    }
-
-
-def _counts(sources: Iterable[str]) -> dict[str, int]:
-    return dict(Counter(sources).most_common())
-
-
-def _notes(gathered: Sequence[Gathered], listing: Listing, options: ImportOptions) -> list[str]:
-    """What is odd, one sentence each."""
-    notes = [f"{one.name}: {note}" for one in gathered for note in one.photograph.notes]
-    notes += [f"{one.name}: {SKY}; that is not used" for one in gathered if one.looks_up]
-    bare = [one.name for one in gathered if not one.photograph.has_tags]
-    if bare:
-        several = f"{bare[0]} and {len(bare) - 1} others have" if len(bare) > 1 else f"{bare[0]} has"
-        notes.append(
-            f"{several} neither EXIF nor XMP: say what you know by camera= or focal_px=, and by a table "
-            "(gravity as down_x, down_y, down_z; height; x, y, z)"
-        )
-    guessed = [one for one in gathered if _lens(one.photograph, options).sigma >= GUESSED_SIGMA]
-    if guessed:
-        notes.append(
-            f"the focal length of {len(guessed)} photographs is a guess: calibrate the camera with `torchrefrac "
-            "calibrate`, or give focal_px="
-        )
-    if listing.films:
-        notes.append(f"{len(listing.films)} films are not used, as {listing.films[0].name}: name one as photos=FILM")
-    return notes + odd_times([one.photograph.time for one in gathered], [one.name for one in gathered])

@@ -50,7 +50,7 @@ def drone_tags(stage: Stage, intrinsics: Intrinsics, options: SyntheticOptions) 
             sigma=(sigma[0], sigma[1]),
             yaw=(turn + 180.0) % 360.0 - 180.0,
             pitch=tilt,
-            roll=side,
+            roll=(side + 180.0) % 360.0 - 180.0,
             focal=float(intrinsics.focal[0]),
             principal_point=(center[0], center[1]),
             distortion=tuple(options.camera.distortion),
@@ -67,4 +67,10 @@ def _gimbal(
     depart from the perpendicular of the water, and the gimbal from what it says."""
     tilt = so3_exp(torch.tensor((*options.plane_tilt_deg, 0.0), dtype=torch.float64).deg2rad())
     shaken = torch.randn(len(rotation), 3, generator=seeded(options.seed, "gimbal"), dtype=torch.float64)
-    return angles_of(so3_exp(math.radians(options.drone.gimbal_sigma_deg) * shaken) @ rotation @ tilt)
+    yaw, pitch, roll = angles_of(so3_exp(math.radians(options.drone.gimbal_sigma_deg) * shaken) @ rotation @ tilt)
+    past = roll.abs() > 0.5 * math.pi  # straight down, which this gimbal says by a pitch below -90 degrees
+    return (
+        torch.where(past, yaw + math.pi, yaw),
+        torch.where(past, -math.pi - pitch, pitch),
+        torch.where(past, roll + math.pi, roll),
+    )

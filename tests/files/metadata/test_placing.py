@@ -113,7 +113,7 @@ def test_altitudes_are_counted_from_one_level(altitudes, wanted, level, without)
 
     assert tuple(np.flatnonzero(~found.known)) == without
     assert set(found.lacking) == set(without)
-    assert found.vertical is (level if found.known.any() else None)
+    assert found.vertical is level
     assert found.position[found.known, 2].tolist() == [of[level] for i, of in enumerate(altitudes) if i not in without]
 
 

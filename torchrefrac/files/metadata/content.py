@@ -12,6 +12,8 @@ from torchrefrac.files.metadata.placing import Placement
 from torchrefrac.files.metadata.position import Vertical
 from torchrefrac.scene.capture import CaptureError
 
+BAROMETER_SIGMA = 0.5  # m; of a height above the place of the take-off, with the drift of a flight
+
 
 @dataclass(frozen=True)
 class Water:
@@ -52,9 +54,11 @@ def capture_content(
                 image["down_in_cam_sigma_deg"] = one.attitude.sigma_deg
             if one.attitude.heading_deg is not None:
                 image["heading_deg"] = _rounded((one.attitude.heading_deg + placement.north_deg[i]) % 360.0)
-        height = height_of(one, placement, i, water)
+        height, height_sigma = _height(one, placement.vertical, water)
         if height is not None:
             image["height"] = _rounded(height)
+        if height_sigma is not None:
+            image["height_sigma"] = _rounded(height_sigma)
         if placement.known[i]:
             image["position"] = [_rounded(coordinate) for coordinate in placement.position[i].tolist()]
             if tuple(placement.sigma[i].tolist()) != position_sigma:
@@ -63,22 +67,25 @@ def capture_content(
     return content | {"images": images}
 
 
-def height_of(one: Gathered, placement: Placement, row: int, water: Water) -> float | None:
-    """Above the water, in m: as the table states it, or from an altitude where the user knows the water's."""
-    if one.height is not None:
-        return one.height
-    height = None
-    if water.level is not None and placement.known[row]:
-        height = float(placement.position[row, 2]) + placement.origin[2] - water.level
-    elif water.take_off_above is not None and one.place is not None and Vertical.TAKE_OFF in one.place.altitudes:
-        height = one.place.altitudes[Vertical.TAKE_OFF] + water.take_off_above
-    if height is not None and height <= 0.0:
+def _height(one: Gathered, vertical: Vertical | None, water: Water) -> tuple[float | None, float | None]:
+    """Above the water, in m: as the table states it, or from an altitude where the user knows the water's; and its
+    standard deviation, None where that is the usual share of it."""
+    if one.height is not None or one.place is None:
+        return one.height, None
+    altitudes, (_, sigma) = one.place.altitudes, one.place.sigma
+    if water.level is not None and vertical is not None and vertical in altitudes:
+        height = altitudes[vertical] - water.level
+    elif water.take_off_above is not None and Vertical.TAKE_OFF in altitudes:
+        height, sigma = altitudes[Vertical.TAKE_OFF] + water.take_off_above, BAROMETER_SIGMA
+    else:
+        return None, None
+    if height <= 0.0:
         option = "take_off_above_water" if water.level is None else "water_level"
         raise CaptureError(
             f"{one.name} would be {height:.2f} m above the water by {option}; give it in the datum of the photographs, "
-            f"in which its altitude is counted from the {placement.vertical or 'take-off'}"
+            f"in which its altitude is counted from the {vertical or 'take-off'}"
         )
-    return height
+    return height, sigma
 
 
 def _commonest(values: Sequence[Any]) -> Any:

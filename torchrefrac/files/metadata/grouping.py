@@ -1,14 +1,16 @@
 """Cameras of a capture: photographs of one body, lens and size share one."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import Literal
 
+from torchrefrac.files.metadata.gathered import Gathered
 from torchrefrac.files.metadata.lens import Lens
 from torchrefrac.files.metadata.photograph import Photograph
+from torchrefrac.scene.capture import CaptureError
 
 Rule = Literal["model", "folder"]
 
@@ -45,12 +47,18 @@ def shared_lens(lenses: Sequence[Lens]) -> Lens:
     )
 
 
-def by_camera(names: Sequence[str], lenses: Sequence[Lens]) -> Mapping[str, Lens]:
-    """The shared lens of each camera."""
-    return {
-        name: shared_lens([lens for other, lens in zip(names, lenses, strict=True) if other == name])
-        for name in dict.fromkeys(names)
-    }
+def by_camera(gathered: Sequence[Gathered], lenses: Sequence[Lens]) -> dict[str, Lens]:
+    """The shared lens of each camera, from those of its photographs. Raises CaptureError where a table gives one camera
+    to photographs of several sizes."""
+    sizes: dict[str, tuple[int, int]] = {}
+    for one in gathered:
+        size = sizes.setdefault(one.camera, one.photograph.size)
+        if size != one.photograph.size:
+            found, wanted = (f"{width}x{height}" for width, height in (one.photograph.size, size))
+            problem = f"is {found}, but others of camera {one.camera!r} are {wanted}; name another camera in the table"
+            raise CaptureError(f"{one.name} {problem}")
+    groups = {name: [lens for one, lens in zip(gathered, lenses, strict=True) if one.camera == name] for name in sizes}
+    return {name: shared_lens(group) for name, group in groups.items()}
 
 
 def _key(photograph: Photograph, rule: Rule) -> tuple[object, ...]:

@@ -28,8 +28,8 @@ class Place:
 @dataclass(frozen=True, eq=False)
 class Placement:
     """Positions less `origin` where `known`, with standard deviations, in m; north_deg: what is added to a true heading
-    for one from the grid's north. crs: None for a frame of its own. lacking: why photographs have none, by their
-    numbers."""
+    for one from the grid's north. crs: None for a frame of its own. vertical: what altitudes are counted from. lacking:
+    why photographs have none, by their numbers."""
 
     position: Float[np.ndarray, "m 3"]
     known: Bool[np.ndarray, " m"]
@@ -76,7 +76,7 @@ def place_all(places: Sequence[Place | None], crs: str | None, wanted: Vertical 
     position[known] -= origin
     return Placement(
         position, known, sigma, north, grid.crs if grid and known.any() else None, origin,
-        vertical if known.any() else None, lacking,
+        vertical, lacking,
     )  # fmt: skip
 
 
