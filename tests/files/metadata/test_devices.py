@@ -68,6 +68,7 @@ def test_a_drone_s_camera_is_turned_as_its_maker_says(tmp_path, tags, xmp, angle
 @pytest.mark.parametrize(
     ("tags", "xmp"),
     [
+        ({**DJI, "MakerNote": dji_note(44.0, math.nan, 1.0)}, b""),
         (DJI, gimbal("drone_dji", 0.0, 0.0, 0.0)),  # what a camera without a gimbal writes
         (DJI, packet(drone_dji__GimbalPitchDegree="-90", drone_dji__GimbalRollDegree="unknown")),
         (DJI, packet(drone_dji__FlightYawDegree="10", drone_dji__FlightPitchDegree="-3")),

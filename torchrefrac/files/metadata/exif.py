@@ -2,6 +2,7 @@
 
 import io
 import logging
+import math
 import struct
 from collections.abc import Mapping
 from functools import cached_property
@@ -83,9 +84,9 @@ class Exif:
 
 
 def _number(value: Any) -> float | None:
-    """Ratios, whole numbers, and floats, which come as tuples; 0/0 is none."""
+    """Ratios, whole numbers, and floats, which come as tuples; 0/0 is none, and neither is what is not finite."""
     if isinstance(value, tuple):
         value = value[0] if value else None
     if getattr(value, "denominator", 1) == 0 or isinstance(value, str | bytes | bool | None):
         return None
-    return float(value)
+    return float(value) if math.isfinite(value) else None

@@ -13,6 +13,7 @@ OPTIMISM = 1.5  # by how much drones' own standard deviations of RTK are too sma
 LEAST_SIGMA = 0.01  # m
 FIXED, FLOAT = 50, 34  # RtkFlag of DJI; 16: a receiver of its own, 0: none
 POSITIONING_ERROR = "GPS Tag 0x001F"  # GPSHPositioningError of phones, whose name ExifRead does not know
+SPACE = 1e5  # m
 NO_PLACE = 1e-6  # degrees; a receiver without a fix says 0, 0
 APART = 0.01  # degrees that two tags of one photograph may be apart
 MAKERS = ("drone-dji", "drone", "drone-autel", "drone-skydio", "drone-parrot")  # prefixes of XMP
@@ -79,19 +80,19 @@ def _place(latitude: float | None, longitude: float | None) -> tuple[float, floa
 
 def _altitude_of_exif(exif: Exif) -> dict[Vertical, float]:
     altitude, below = exif.number("GPS GPSAltitude"), exif.number("GPS GPSAltitudeRef") in (1.0, 3.0)
-    return {} if altitude is None else {Vertical.SEA_LEVEL: -altitude if below else altitude}
+    return _believed({Vertical.SEA_LEVEL: -altitude if altitude and below else altitude})
 
 
 def _altitudes_of_xmp(xmp: Xmp, maker: str, is_precise: bool) -> dict[Vertical, float]:
     """With RTK, and from Skydio, altitudes are above the ellipsoid; without, of whatever kind, near sea level."""
-    altitudes: dict[Vertical, float] = {}
     absolute, relative = (xmp.number(f"{maker}:{name}Altitude") for name in ("Absolute", "Relative"))
-    if absolute is not None:
-        ellipsoid = is_precise or maker == "drone-skydio" or xmp.text(f"{maker}:AltitudeType") == "RtkAlt"
-        altitudes[Vertical.ELLIPSOID if ellipsoid else Vertical.SEA_LEVEL] = absolute
-    if relative is not None:
-        altitudes[Vertical.TAKE_OFF] = relative
-    return altitudes
+    ellipsoid = is_precise or maker == "drone-skydio" or xmp.text(f"{maker}:AltitudeType") == "RtkAlt"
+    return _believed({Vertical.ELLIPSOID if ellipsoid else Vertical.SEA_LEVEL: absolute, Vertical.TAKE_OFF: relative})
+
+
+def _believed(altitudes: Mapping[Vertical, float | None]) -> dict[Vertical, float]:
+    """Those that are there, of places where cameras are."""
+    return {level: altitude for level, altitude in altitudes.items() if altitude is not None and abs(altitude) < SPACE}
 
 
 def _sigma(exif: Exif, xmp: Xmp, maker: str) -> tuple[tuple[float, float], bool]:
