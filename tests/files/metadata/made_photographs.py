@@ -29,7 +29,7 @@ NAMESPACES = {
     "GPano": "http://ns.google.com/photos/1.0/panorama/",
     "tiff": "http://ns.adobe.com/tiff/1.0/",
 }
-SIZE = (96, 72)
+SIZE, XMP_TAG = (96, 72), 700
 
 
 def packet(as_elements: bool = False, **texts: str) -> bytes:
@@ -114,5 +114,8 @@ def write_photograph(
     given: dict[str, Any] = {"xmp": xmp} if xmp else {}
     if tags:
         given["exif"] = exif
-    picture(size, seed).save(path, quality=95, **given)
+    if path.suffix.lower() == ".tif":
+        picture(size, seed).save(path, tiffinfo={XMP_TAG: xmp} if xmp else {})
+    else:
+        picture(size, seed).save(path, quality=95, **given)
     return path

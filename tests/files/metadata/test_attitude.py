@@ -88,9 +88,9 @@ def test_gravity_goes_with_the_pixels_as_stored(orientation, transpose):
     (row,), (column,) = np.nonzero(stored)
     middle = (np.array(stored.shape) - 1) / 2
 
-    x, y, _ = as_stored((2.0, 2.0, 0.0), orientation)
+    found = as_stored((2.0, 2.0, 0.0), orientation)
 
-    assert (x, y) == (column - middle[1], row - middle[0])
+    assert found == (column - middle[1], row - middle[0], 0.0)
 
 
 def test_a_mirrored_image_has_no_gravity():

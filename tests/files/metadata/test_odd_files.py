@@ -27,6 +27,9 @@ from torchrefrac.scene import CaptureError
         ("river_t.jpg", (96, 72), {"drone_dji__ImageSource": "WideCamera"}, Kind.ORDINARY),
         ("DJI_0001.JPG", (96, 72), {"drone_dji__ImageSource": "InfraredCamera"}, Kind.THERMAL),
         ("DJI_0001.JPG", (96, 72), {"drone_dji__ImageSource": "ZoomCamera"}, Kind.ZOOM),
+        ("DJI_20240101120000_0001_MS_NIR.TIF", (96, 72), {}, Kind.BAND),
+        ("DJI_20240101120000_0001_D.JPG", (96, 72), {}, Kind.ORDINARY),
+        ("IMG_0001_3.tif", (96, 72), {"Camera__BandName": "Green"}, Kind.BAND),
         ("DJI_0001.JPG", (96, 72), {"GPano__ProjectionType": "equirectangular"}, Kind.PANORAMA),
         ("DJI_0001.JPG", (240, 72), {}, Kind.PANORAMA),
         ("DJI_0001.JPG", (72, 240), {}, Kind.PANORAMA),
@@ -40,12 +43,21 @@ def test_the_kind_of_a_picture_is_told_by_its_file_or_its_name(tmp_path, name, s
     assert read_photograph(path).kind is kind
 
 
-N, Z, T, P = Kind.ORDINARY, Kind.ZOOM, Kind.THERMAL, Kind.PANORAMA
+N, Z, T, P, B = Kind.ORDINARY, Kind.ZOOM, Kind.THERMAL, Kind.PANORAMA, Kind.BAND
 
 
 @pytest.mark.parametrize(
     ("kinds", "stay"),
-    [((N, N), (0, 1)), ((N, T, Z, N), (0, 3)), ((Z, Z, T), (0, 1)), ((T, T), (0, 1)), ((N, P), (0,)), ((P, P), ())],
+    [
+        ((N, N), (0, 1)),
+        ((N, T, Z, N), (0, 3)),
+        ((Z, Z, T), (0, 1)),
+        ((T, T), (0, 1)),
+        ((N, P), (0,)),
+        ((P, P), ()),
+        ((N, B), (0,)),
+        ((B, B), (0, 1)),
+    ],
 )
 def test_one_kind_of_picture_stays_and_the_others_have_a_reason(kinds, stay):
     reasons = left_out_by_kind(kinds)

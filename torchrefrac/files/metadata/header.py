@@ -30,8 +30,6 @@ def read_header(path: Path) -> Header:
         with _without_limits(), Image.open(path) as image:
             width, height = image.size
             packet = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
-            if image.format == "TIFF":
-                packet = image.getexif().get(700, packet)
     except (OSError, ValueError, SyntaxError, struct.error) as error:
         if isinstance(error, FileNotFoundError | PermissionError):
             raise

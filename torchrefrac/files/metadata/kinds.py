@@ -13,6 +13,8 @@ HEIC = (".heic", ".heif", ".hif", ".avif")
 FILMS = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm", ".lrv")
 THERMAL_NAME = re.compile(r"_(T|THRM|IR)$", re.IGNORECASE)
 ZOOM_NAME = re.compile(r"_(Z|ZOOM)$", re.IGNORECASE)
+BAND_NAME = re.compile(r"_MS_(G|R|RE|NIR)$", re.IGNORECASE)
+BANDS = ("BLUE", "GREEN", "RED", "REDEDGE", "RED EDGE", "NIR")
 PANORAMA_ASPECT = 2.4  # no single photograph is wider
 SPHERE_WIDTH = 4096  # of what is exactly twice as wide as high
 
@@ -22,6 +24,7 @@ class Kind(Enum):
 
     ORDINARY = ""
     ZOOM = "taken with the zoom camera beside wider ones; import it alone, from a folder of its own"
+    BAND = "one band of a multispectral camera beside photographs in colour"
     THERMAL = "a thermal picture, whose camera sees something else than the others"
     PANORAMA = "a panorama, which has no single place from where it was taken"
 
@@ -36,6 +39,8 @@ def kind_of(path: Path, width: int, height: int, xmp: Xmp) -> Kind:
         return Kind.PANORAMA
     if "infrared" in source or "thermal" in source or (not source and THERMAL_NAME.search(path.stem)):
         return Kind.THERMAL
+    if BAND_NAME.search(path.stem) or xmp.text("drone-dji:BandName", "Camera:BandName").upper() in BANDS:
+        return Kind.BAND
     if "zoom" in source or (not source and ZOOM_NAME.search(path.stem)):
         return Kind.ZOOM
     return Kind.ORDINARY
@@ -43,9 +48,8 @@ def kind_of(path: Path, width: int, height: int, xmp: Xmp) -> Kind:
 
 def left_out_by_kind(kinds: Sequence[Kind]) -> list[str]:
     """Of each picture why it is left out; empty: it is not. What is the only kind there is stays, but for panoramas."""
-    some = {kind for kind in kinds if kind is not Kind.PANORAMA}
-    stay = {Kind.ORDINARY} if Kind.ORDINARY in some else {Kind.ZOOM} if Kind.ZOOM in some else {Kind.THERMAL}
-    return ["" if kind in stay else kind.value for kind in kinds]
+    first = next((kind for kind in (Kind.ORDINARY, Kind.ZOOM, Kind.BAND, Kind.THERMAL) if kind in kinds), None)
+    return ["" if kind is first else kind.value for kind in kinds]
 
 
 def unreadable(path: Path, stems: set[str]) -> str:
