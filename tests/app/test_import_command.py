@@ -212,6 +212,15 @@ def test_photographs_that_say_nothing_make_a_capture_and_a_list_of_what_is_missi
     assert (camera["fx"], camera["sigma"]["focal"]) == (115.2, 0.3)
 
 
+def test_a_lens_that_bends_lines_is_told(torchrefrac, tmp_path):
+    for i in range(2):
+        write_photograph(tmp_path / "photos" / f"{i}.jpg", {"Make": "GoPro", "FocalLengthIn35mmFilm": 16}, seed=i)
+
+    ended = torchrefrac("import", "photos=photos", "out=river")
+
+    assert "bends straight lines, which no tag describes: calibrate it" in " ".join(ended.out.split())
+
+
 def test_what_is_left_out_is_named_with_its_reason(torchrefrac, flight, read):
     write_photograph(flight / "DJI_0010_T.JPG", DJI, seed=10)
     write_photograph(flight / "DJI_0011.JPG", DJI, xmp(44.0, -90.0, 0.0, 3), seed=11)

@@ -10,6 +10,9 @@ from torchrefrac.files.metadata.lens import Lens
 from torchrefrac.files.metadata.placing import Placement
 from torchrefrac.files.metadata.times import odd_times
 
+FISHEYES = ("gopro", "insta360")
+"""Makes of cameras with lenses that are no pinholes."""
+
 
 def found(
     content: Mapping[str, Any], gathered: Sequence[Gathered], lenses: Mapping[str, Lens], placement: Placement
@@ -69,6 +72,13 @@ def oddities(gathered: Sequence[Gathered], lenses: Mapping[str, Lens], films: Se
         notes.append(
             f"the focal length of {len(guessed)} photographs is a guess: calibrate the camera with `torchrefrac "
             "calibrate`, or give focal_px="
+        )
+    wide = {one.camera for one in gathered if one.photograph.body[0].lower() in FISHEYES}
+    bent = [name for name in lenses if name in wide and not lenses[name].distortion_source]
+    if bent:
+        notes.append(
+            f"{', '.join(bent)} bends straight lines, which no tag describes: calibrate it with `torchrefrac calibrate "
+            "model=fisheye`"
         )
     if films:
         notes.append(f"{len(films)} films are not used, as {films[0].name}: name one as photos=FILM")
