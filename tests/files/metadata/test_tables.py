@@ -89,6 +89,7 @@ def test_rows_are_found_by_names_with_or_without_folder_and_ending(table, name):
         ("name,down_x,down_y\na,1,2\n", "has the column down_x without down_z"),
         ("name,hieght\na,1\n", "'hieght' is no column that is known here: name, latitude"),
         ("name,height\na,high\n", "line 2: height is 'high', but must be a number"),
+        ("# mine\n\nname,height\n\na,high\n", "line 5: height is 'high'"),
         ("name,height\na,-2\n", "line 2: height is -2, but a camera stands above the water"),
         ("name,height\n,2\n", "line 2 has no name"),
         ("name,lat,lon\na,912345,4567\n", "is no latitude and longitude in degrees"),

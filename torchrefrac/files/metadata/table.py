@@ -81,20 +81,22 @@ def read_table(path: Path) -> Table:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError:
         raise CaptureError(f"{path} is no text in UTF-8; save it as CSV") from None
-    lines = [line for line in lines if line.strip() and not line.startswith("#")]
-    if not lines:
+    numbered = [(number, line) for number, line in enumerate(lines, start=1) if line.strip() and line[0] != "#"]
+    if not numbered:
         raise CaptureError(f"{path} is empty, but must have a row for each photograph")
-    is_geo = lines[0].strip().upper().startswith(("EPSG:", "WGS84", "+PROJ"))
-    table = _geo(path, lines) if is_geo else _csv(path, lines)
-    if len(table.rows) < len(lines) - 1:
+    (_, first), *rest = numbered
+    is_geo = first.strip().upper().startswith(("EPSG:", "WGS84", "+PROJ"))
+    table = (_geo if is_geo else _csv)(path, first, rest)
+    if len(table.rows) < len(rest):
         raise CaptureError(f"{path} has several rows with the same name; leave one of them")
     return table
 
 
-def _csv(path: Path, lines: Sequence[str]) -> Table:
-    separator = max(",;\t", key=lines[0].count)
-    records = list(csv.reader(lines, delimiter=separator))
-    columns = [_column(path, title) for title in records[0]]
+def _csv(path: Path, first: str, rest: Sequence[tuple[int, str]]) -> Table:
+    """Names of columns in the first line; the others with their numbers."""
+    separator = max(",;\t", key=first.count)
+    titles, *records = csv.reader([first, *(line for _, line in rest)], delimiter=separator)
+    columns = [_column(path, title) for title in titles]
     if "name" not in columns:
         raise CaptureError(f"{path} has no column called name; its first line must name the columns")
     for group in GROUPS:
@@ -103,18 +105,21 @@ def _csv(path: Path, lines: Sequence[str]) -> Table:
             raise CaptureError(
                 f"{path} has the column {present[0]} without {_others(group, present)}; add what is missing"
             )
-    rows = [_row(path, number, columns, record, Mount.FORWARD) for number, record in enumerate(records[1:], start=2)]
+    numbers = [number for number, _ in rest]
+    rows = [
+        _row(path, number, columns, record, Mount.FORWARD) for number, record in zip(numbers, records, strict=False)
+    ]
     return Table(path, {row.name: row for row in rows})
 
 
-def _geo(path: Path, lines: Sequence[str]) -> Table:
+def _geo(path: Path, first: str, rest: Sequence[tuple[int, str]]) -> Table:
     """First the reference system, then "name x y z yaw pitch roll sigma sigma"; angles are those of an aircraft whose
     camera looks down."""
-    crs = lines[0].strip()
+    crs = first.strip()
     in_degrees = crs.upper() in ("EPSG:4326", "WGS84") or "longlat" in crs.lower()
     columns = ("name", *(("longitude", "latitude") if in_degrees else ("x", "y")), *OF_GEO)
     rows = []
-    for number, line in enumerate(lines[1:], start=2):
+    for number, line in rest:
         record = line.split()
         if len(record) not in (3, 4, 7, 9):
             wanted = "a name, x, y, z and maybe yaw, pitch, roll and two sigmas"
