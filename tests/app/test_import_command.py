@@ -65,7 +65,7 @@ def test_a_flight_becomes_a_capture(torchrefrac, flight, read, tmp_path):
     (name,) = capture["cameras"]
     assert capture["cameras"][name] == {
         "model": "opencv", "width": 96, "height": 72, "fx": 64.0, "fy": 64.0, "cx": 48.0, "cy": 36.0,
-        "distortion": [0.0] * 5, "sigma": {"focal": 0.05},
+        "distortion": [0.0] * 5, "sigma": {"focal": 0.05, "principal_point": 0.96, "distortion": 0.05},
     }  # fmt: skip
     for image, angles in zip(capture["images"], FLIGHT, strict=True):
         axes = oracle.camera_axes(*angles)
@@ -147,7 +147,7 @@ def test_options_take_the_place_of_what_files_say(torchrefrac, flight, read):
 
     capture = read("river")[0]
     (camera,) = capture["cameras"].values()
-    assert (camera["fx"], camera["sigma"]) == (80.0, {"focal": 0.02})
+    assert (camera["fx"], camera["sigma"]["focal"]) == (80.0, 0.02)
     assert capture["down_in_cam_sigma_deg"] == 2.0
     assert capture["position_sigma"] == [0.5, 0.5, 0.7]
     assert capture["georeference"]["crs"] == "EPSG:26915"

@@ -4,7 +4,7 @@ from torchrefrac.record.import_lines import import_lines
 
 CAMERA = {"photographs": 3, "width": 4000, "height": 3000, "fx": 2900.0, "fy": 2900.0, "cx": 2001.5, "cy": 1500.0,
           "focal_sigma": 0.01, "focal": "XMP drone-dji:DewarpData", "principal_point": "XMP drone-dji:DewarpData",
-          "distortion": "XMP drone-dji:DewarpData"}  # fmt: skip
+          "principal_point_sigma": 8.0, "distortion": "XMP drone-dji:DewarpData", "distortion_sigma": None}  # fmt: skip
 
 
 def report(**others):
@@ -31,7 +31,7 @@ def test_each_source_has_a_line_and_what_is_missing_says_so():
     )
     assert row(lines, "heading")[0] == "heading 0 of 3 not found: nothing needs it"
     assert row(lines, "focal")[0] == "focal length 2900.0 px +- 1 % XMP drone-dji:DewarpData"
-    assert row(lines, "principal")[0].startswith("principal point +1.5, +0.0 px off the middle")
+    assert row(lines, "principal")[0].startswith("principal point +1.5, +0.0 px +- 8 px XMP")
     assert row(lines, "height")[0] == "height 0 of 3 not found: give water_level or take_off_above_water"
 
 

@@ -33,7 +33,9 @@ def found(
                 "focal_sigma": lens.sigma,
                 "focal": lens.source,
                 "principal_point": lens.center_source,
+                "principal_point_sigma": lens.center_sigma,
                 "distortion": lens.distortion_source,
+                "distortion_sigma": lens.distortion_sigma,
             }
             for name, lens in lenses.items()
         },

@@ -37,9 +37,15 @@ def _camera(camera: Mapping[str, Any]) -> Iterator[str]:
     middle = camera["cx"] - 0.5 * camera["width"], camera["cy"] - 0.5 * camera["height"]
     focal = f"{camera['fx']:.1f} px +- {100.0 * camera['focal_sigma']:.2g} %"
     yield from _row("focal length", focal, camera["focal"])
-    off = "the middle" if not any(middle) else f"{middle[0]:+.1f}, {middle[1]:+.1f} px off the middle"
-    yield from _row("principal point", off, camera["principal_point"] or ASSUMED)
-    yield from _row("distortion", "known" if camera["distortion"] else "none", camera["distortion"] or ASSUMED)
+    center = "the middle" if not any(middle) else f"{middle[0]:+.1f}, {middle[1]:+.1f} px"
+    distortion = "known" if camera["distortion"] else "none"
+    center_sigma, sigma = _spread(camera["principal_point_sigma"], " px"), _spread(camera["distortion_sigma"], "")
+    yield from _row("principal point", center + center_sigma, camera["principal_point"] or ASSUMED)
+    yield from _row("distortion", distortion + sigma, camera["distortion"] or ASSUMED)
+
+
+def _spread(sigma: float | None, unit: str) -> str:
+    return "" if sigma is None else f" +- {sigma:.2g}{unit}"
 
 
 def _statements(report: Mapping[str, Any]) -> Iterator[str]:

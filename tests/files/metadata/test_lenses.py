@@ -58,3 +58,6 @@ def test_a_lens_is_the_best_that_its_photograph_says(tmp_path, tags, xmp, size, 
     assert found.distortion == distortion
     assert found.sigma == sigma
     assert found.is_guessed == (sigma == 0.3)
+    longer = max(size)
+    assert found.center_sigma == pytest.approx((0.002 if found.center_source else 0.01) * longer)
+    assert found.distortion_sigma == (0.01 if found.distortion_source else 0.05)

@@ -1,7 +1,7 @@
 """Focal length, principal point and distortion of a photograph, as far as its file says them."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from torchrefrac.camera import Intrinsics
@@ -13,6 +13,10 @@ from torchrefrac.files.plausible import implausible
 
 CALIBRATED_SIGMA, EXIF_SIGMA, GUESSED_SIGMA = 0.01, 0.05, 0.3
 """Of a focal length, relative: calibrated at the factory, by EXIF (rounded, and of another distance), guessed."""
+CENTER_SIGMA, CALIBRATED_CENTER_SIGMA = 0.01, 0.002
+"""Of a principal point, in units of the longer side: assumed in the middle, calibrated."""
+DISTORTION_SIGMA, CALIBRATED_DISTORTION_SIGMA = 0.05, 0.01
+"""Of each coefficient: assumed to be none, calibrated."""
 GUESS = 1.2  # focal length in units of the longer side: 45 degrees of view
 OFF_CENTER = 0.05  # of the size, by which a principal point may be off the middle
 FOCAL_RANGE = 0.2, 30.0  # of focal lengths in units of the longer side that are believed
@@ -67,8 +71,16 @@ def lens_of(exif: Exif, xmp: Xmp, width: int, height: int) -> Lens:
 
 
 def centered(focal: float, width: int, height: int, sigma: float, source: str) -> Lens:
-    """Without distortion, its principal point in the middle."""
-    return Lens((focal, focal), (0.5 * width, 0.5 * height), NO_DISTORTION, sigma, source)
+    """Without distortion, its principal point in the middle; neither is certain."""
+    return Lens(
+        focal=(focal, focal),
+        principal_point=(0.5 * width, 0.5 * height),
+        distortion=NO_DISTORTION,
+        sigma=sigma,
+        source=source,
+        center_sigma=CENTER_SIGMA * max(width, height),
+        distortion_sigma=DISTORTION_SIGMA,
+    )
 
 
 def _dewarp(xmp: Xmp, width: int, height: int) -> Lens | None:
@@ -85,13 +97,15 @@ def _dewarp(xmp: Xmp, width: int, height: int) -> Lens | None:
     source = "XMP drone-dji:DewarpData"
     is_straight = xmp.number("drone-dji:DewarpFlag") == 1.0
     return Lens(
-        (fx, fy),
-        (0.5 * width + cx, 0.5 * height + cy),
-        NO_DISTORTION if is_straight else tuple(distortion),
-        CALIBRATED_SIGMA,
-        source,
-        source,
-        "XMP drone-dji:DewarpFlag, straightened" if is_straight else source,
+        focal=(fx, fy),
+        principal_point=(0.5 * width + cx, 0.5 * height + cy),
+        distortion=NO_DISTORTION if is_straight else tuple(distortion),
+        sigma=CALIBRATED_SIGMA,
+        source=source,
+        center_source=source,
+        distortion_source="XMP drone-dji:DewarpFlag, straightened" if is_straight else source,
+        center_sigma=CALIBRATED_CENTER_SIGMA * max(width, height),
+        distortion_sigma=CALIBRATED_DISTORTION_SIGMA,
     )
 
 
@@ -116,10 +130,12 @@ def _calibrated(xmp: Xmp, width: int, height: int) -> Lens | None:
 def _from_tags(
     focal: tuple[float, float], cx: float | None, cy: float | None, size: tuple[int, int], source: str
 ) -> Lens:
-    width, height = size
-    known = cx is not None and cy is not None
-    center = (cx or 0.0, cy or 0.0) if known else (0.5 * width, 0.5 * height)
-    return Lens(focal, center, NO_DISTORTION, CALIBRATED_SIGMA, source, source if known else "")
+    lens = replace(centered(focal[0], *size, CALIBRATED_SIGMA, source), focal=focal)
+    if cx is None or cy is None:
+        return lens
+    return replace(
+        lens, principal_point=(cx, cy), center_source=source, center_sigma=CALIBRATED_CENTER_SIGMA * max(size)
+    )
 
 
 def _by_exif(exif: Exif, width: int, height: int) -> Lens | None:
