@@ -140,7 +140,7 @@ def test_intrinsics_are_written_as_the_smallest_model_that_holds_it(tmp_path, sc
 def test_a_camera_is_written_as_the_model_that_it_was_read_as(tmp_path, write_by_hand, line, binary):
     given = read_colmap(write_by_hand(cameras=f"7 {line}\n", images=IMAGES.replace(" 12 ", " 7 ")))
 
-    write_colmap(given, tmp_path / "first", binary=binary)
+    write_colmap(named(given, "a", "b"), tmp_path / "first", binary=binary)
     again = read_colmap(tmp_path / "first")
     write_colmap(again, tmp_path / "second")
 
@@ -150,7 +150,7 @@ def test_a_camera_is_written_as_the_model_that_it_was_read_as(tmp_path, write_by
 
 def test_a_camera_that_its_model_no_longer_holds_becomes_another(tmp_path, write_by_hand):
     radial = "7 SIMPLE_RADIAL 640 480 500 320 240 0.1\n"
-    given = read_colmap(write_by_hand(cameras=radial, images=IMAGES.replace(" 12 ", " 7 ")))
+    given = named(read_colmap(write_by_hand(cameras=radial, images=IMAGES.replace(" 12 ", " 7 "))), "a", "b")
     bent = given.cameras.distortion + torch.tensor([0.0, 0.25, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], dtype=torch.float64)
 
     write_colmap(replace(given, cameras=replace(given.cameras, distortion=bent)), tmp_path / "out")
