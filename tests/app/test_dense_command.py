@@ -301,7 +301,7 @@ def test_without_truth_there_is_no_error_map(torchrefrac, place, metrics):
 
 def _write_truth_points(folder, step=8):
     """What the true cameras see of the true planes at every few pixels, each ray against each plane."""
-    truth, lens = load_truth(folder), load_capture(folder).intrinsics
+    truth, lens = load_truth(folder), load_capture(folder).cameras[0]
     x, y = (torch.arange(step // 2, size, step, dtype=torch.float64) for size in (lens.width, lens.height))
     pixels = torch.stack(torch.meshgrid(x + 0.5, y + 0.5, indexing="xy"), dim=-1)
     points, planes = [], []

@@ -37,7 +37,7 @@ def test_grey_values_are_those_of_the_file(capture):
     stored = cv2.imread(str(capture.paths[1]), cv2.IMREAD_GRAYSCALE)
 
     assert stored is not None
-    assert images.size == (120, 160)
+    assert images.size(0) == (120, 160)
     assert images.grey(1).dtype == torch.uint8
     assert images.grey(1).numpy().tolist() == stored.tolist()
 
@@ -120,7 +120,7 @@ def test_an_unreadable_photograph_is_named(capture):
 
 
 def test_a_photograph_of_another_size_is_named(capture):
-    narrow = Cameras.of([replace(capture.intrinsics, width=150)])
+    narrow = Cameras.of([replace(capture.cameras[0], width=150)])
 
     with pytest.raises(CaptureError, match=re.escape(f"{capture.paths[0]} is 160x120, but the images are 150x120")):
         Images(replace(capture, cameras=narrow)).check()

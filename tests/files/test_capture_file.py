@@ -14,12 +14,12 @@ from torchrefrac.scene import CaptureError
 
 def test_opencv_pixels_are_shifted_by_half_a_pixel_once(write_capture):
     capture = load_capture(write_capture())
-    assert capture.intrinsics.principal_point.tolist() == [32.0, 24.0]
+    assert capture.cameras[0].principal_point.tolist() == [32.0, 24.0]
 
 
 def test_colmap_pixels_are_taken_as_they_are(write_capture):
     capture = load_capture(write_capture(lambda c: c.update(pixel_origin="corner")))
-    assert capture.intrinsics.principal_point.tolist() == [31.5, 23.5]
+    assert capture.cameras[0].principal_point.tolist() == [31.5, 23.5]
 
 
 def test_all_fields_arrive(write_capture):
@@ -31,14 +31,14 @@ def test_all_fields_arrive(write_capture):
     assert capture.down_sigma.tolist() == pytest.approx([math.radians(0.5)] * len(capture))
     assert capture.has_height.tolist() == [True, False]
     assert capture.height[0] == 30.0
-    assert capture.intrinsics.focal.tolist() == [50.0, 51.0]
-    assert capture.intrinsics.distortion.tolist() == [0.1, 0, 0, 0, 0]
+    assert capture.cameras[0].focal.tolist() == [50.0, 51.0]
+    assert capture.cameras[0].distortion.tolist() == [0.1, 0, 0, 0, 0]
     assert torch.equal(capture.down_in_cam.norm(dim=-1), torch.ones(2, dtype=torch.float64))
 
 
 def test_a_lens_without_distortion_may_leave_it_out(write_capture):
     capture = load_capture(write_capture(lambda c: c["intrinsics"].pop("distortion")))
-    assert capture.intrinsics.distortion.tolist() == [0.0] * 5
+    assert capture.cameras[0].distortion.tolist() == [0.0] * 5
 
 
 def test_gravity_may_be_left_out_of_all_images(write_capture):

@@ -93,14 +93,35 @@ def test_a_file_of_cameras_is_as_it_always_was(tmp_path, scene):
 
 
 def test_a_scene_that_the_file_has_no_place_for_is_refused(tmp_path, scene):
-    several = replace(scene, cameras=Cameras.of([scene.intrinsics, scene.intrinsics]))
     raised = replace(scene, interfaces=Interfaces.level(1.333, height=2.0))
 
-    with pytest.raises(SceneError, match="has 2 cameras"):
-        write_cameras(several, tmp_path / "cameras.json")
     with pytest.raises(SceneError, match="water that is not the plane z = 0"):
         write_cameras(raised, tmp_path / "cameras.json")
     assert not list(tmp_path.iterdir())
+
+
+def test_several_cameras_of_any_model_come_back(tmp_path, scene):
+    lenses = [
+        Intrinsics.create(640, 480, 500.0, (310.0, 250.0), (0.1, 0.2, 0.0, 0.0, 0.3, 0.4, 0.5, 0.6)),
+        Intrinsics.create(480, 640, 300.0, distortion=(0.1, 0.2, 0.3, 0.4), model="fisheye"),
+    ]
+    cameras = replace(Cameras.of(lenses, ("phone", "gopro")), focal_sigma=torch.tensor([0.0, 0.02]).double())
+    several = replace(scene, cameras=cameras, views=replace(scene.views, camera=torch.tensor([1, 0])))
+
+    write_cameras(several, tmp_path / "cameras.json")
+    found = read_cameras(tmp_path / "cameras.json")
+    loaded = load_cameras(tmp_path)
+
+    assert (found.cameras.names, found.cameras.models) == (("phone", "gopro"), ("opencv", "fisheye"))
+    assert found.cameras.sizes == ((640, 480), (480, 640))
+    for name in ("focal", "principal_point", "distortion", "focal_sigma", "principal_point_sigma"):
+        assert torch.equal(getattr(found.cameras, name), getattr(cameras, name)), name
+    assert found.views.camera.tolist() == [1, 0]
+    assert loaded.intrinsics.focal[:, 0].tolist() == [cameras.focal[row, 0] for row in loaded_rows(several)]
+
+
+def loaded_rows(scene):
+    return scene.views.camera[scene.views.registered].tolist()
 
 
 def test_cameras_of_a_run_have_names_and_project(tmp_path, draw, scene):

@@ -64,7 +64,7 @@ class Planted:
     def scene(self, index_ratio: float, count: int = 300) -> Scene:
         """What `complete` writes."""
         place = embedded_scene("tank_small")
-        truth, intrinsics = load_truth(place), load_capture(place).intrinsics
+        truth, intrinsics = load_truth(place), load_capture(place).cameras[0]
         if truth is None:
             raise ValueError("the embedded scene has lost its truth")
         cameras = RefractiveCamera(intrinsics, truth.rotation, truth.center, FlatInterface(1.33))

@@ -43,16 +43,12 @@ class Pair:
         return _view(self, 0), _view(self, 1)
 
     @property
-    def focal(self) -> tuple[Tensor, Tensor]:
-        return self.lens.focal[0], self.lens.focal[1]
-
-    @property
     def error(self) -> EpipolarError:
-        return epipolar_error(*self.views, self.focal, self.index_ratio)
+        return epipolar_error(*self.views, self.index_ratio)
 
     @property
     def jacobian(self) -> EpipolarJacobian:
-        return epipolar_jacobian(*self.views, self.focal, self.index_ratio)
+        return epipolar_jacobian(*self.views, self.index_ratio)
 
     def off_by(self, pixels: Tensor) -> "Pair":
         return replace(self, pixels=self.pixels + pixels)
@@ -67,7 +63,7 @@ class Pair:
 def _view(pair: Pair, k: int) -> Views:
     x, y = pair.lens.plane_from_pixels(pair.pixels[..., k, :, :]).unbind(dim=-1)
     rotation, center = pair.rotation[..., k, None, :, :], pair.center[..., k, None, :]
-    return Views(triples.rows(rotation), triples.split(center), (x, y))
+    return Views(triples.rows(rotation), triples.split(center), (x, y), (pair.lens.focal[0], pair.lens.focal[1]))
 
 
 @pytest.fixture

@@ -60,7 +60,7 @@ def test_the_pose_of_an_image_is_found_in_spite_of_outliers_and_gravity_that_is_
     survey = survey_of(cameras=2, points=200, index_ratio=index_ratio, **{**HARD, "outliers": 0.3})
     pixels, right, track = survey.common(1)
 
-    pose = make_initializer(survey).absolute(1, pixels, survey.basin.points[track], generator)
+    pose = make_initializer(survey).absolute(1, survey.basin.lens, pixels, survey.basin.points[track], generator)
 
     assert (pose.inliers & right).sum() > 0.98 * right.sum()
     assert (pose.inliers & ~right).sum() <= 1
@@ -76,7 +76,9 @@ def test_too_few_data_give_no_pose(survey_of, generator, index_ratio, count):
     initializer = make_initializer(survey)
 
     assert initializer.relative((0, 1), (first[:count], second[:count]), generator) is None
-    assert initializer.absolute(0, first[:count], survey.basin.points[track[:count]], generator) is None
+    assert (
+        initializer.absolute(0, survey.basin.lens, first[:count], survey.basin.points[track[:count]], generator) is None
+    )
 
 
 def test_random_pixels_give_no_pose_through_water_or_one_that_few_agree_with(survey_of, generator):
@@ -85,7 +87,7 @@ def test_random_pixels_give_no_pose_through_water_or_one_that_few_agree_with(sur
     initializer = make_initializer(survey)
 
     pair = initializer.relative((0, 1), (first, second), generator)
-    single = initializer.absolute(1, second, survey.basin.points[track], generator)
+    single = initializer.absolute(1, survey.basin.lens, second, survey.basin.points[track], generator)
 
     for pose in (pair, single):
         assert pose is None or pose.inliers.sum() < 20
@@ -98,9 +100,8 @@ def test_the_same_seed_gives_the_same_poses_to_the_last_bit(survey_of, index_rat
     initializer = make_initializer(survey)
 
     pairs = [initializer.relative((0, 1), (first, second), torch.Generator().manual_seed(5)) for _ in range(2)]
-    singles = [
-        initializer.absolute(1, second, survey.basin.points[track], torch.Generator().manual_seed(5)) for _ in range(2)
-    ]
+    known = survey.basin.lens, second, survey.basin.points[track]
+    singles = [initializer.absolute(1, *known, torch.Generator().manual_seed(5)) for _ in range(2)]
 
     for one, two in (pairs, singles):
         assert torch.equal(one.center, two.center)
@@ -114,7 +115,7 @@ def test_gravity_that_is_known_to_be_vague_widens_the_search(survey_of, generato
 
     def find(capture):
         initializer = RefractiveInitializer(capture, survey.basin.index_ratio, options)
-        return initializer.absolute(1, pixels, survey.basin.points[track], generator)
+        return initializer.absolute(1, survey.basin.lens, pixels, survey.basin.points[track], generator)
 
     assert find(survey.capture).inliers.sum() > 0.95 * len(pixels)
     assert find(replace(survey.capture, down_sigma=torch.full_like(survey.capture.height, 1e-6))) is None

@@ -263,7 +263,7 @@ def test_the_same_seed_gives_the_same_reconstruction_to_the_last_bit(survey_of):
 
 def test_the_radial_terms_of_a_wrong_lens_are_refined_on_request(survey_of):
     survey = survey_of(points=200, noise=0.05, distortion=(-0.05, 0.02, 0.0, 0.0, 0.0))
-    wrong = replace(survey.capture.intrinsics, distortion=survey.capture.intrinsics.distortion * 0.8)
+    wrong = replace(survey.capture.cameras[0], distortion=survey.capture.cameras[0].distortion * 0.8)
     survey = replace(survey, capture=replace(survey.capture, cameras=Cameras.of([wrong])))
     refine = replace(OPTIONS, bundle=replace(OPTIONS.bundle, refine=("radial",)))
 
@@ -339,7 +339,7 @@ class _Knowing(PoseInitializer):
     def index_ratio(self):
         return self.basin.index_ratio
 
-    def absolute(self, image, pixels, points, generator):
+    def absolute(self, image, intrinsics, pixels, points, generator):
         self.asked.append(image)
         if len(self.asked) == 1:
             return None

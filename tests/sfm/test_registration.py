@@ -35,7 +35,7 @@ class Answering(PoseInitializer):
     def __init__(self, inliers):
         self.inliers, self.asked = inliers, None
 
-    def absolute(self, image, pixels, points, generator):
+    def absolute(self, image, intrinsics, pixels, points, generator):
         self.asked = image, pixels, points
         if self.inliers is None:
             return None

@@ -19,7 +19,7 @@ from torchrefrac.geometry import split_heading
 from torchrefrac.recorder import SilentRecorder
 from torchrefrac.synthetic.drone import CRS, ORIGIN, drone_tags
 from torchrefrac.synthetic.library import render_scene
-from torchrefrac.synthetic.options import SensorOptions
+from torchrefrac.synthetic.options import HeldCameraOptions, SensorOptions
 from torchrefrac.synthetic.paths import look_at, ring
 from torchrefrac.synthetic.stage import Stage, StageError
 
@@ -30,11 +30,11 @@ LENS = (-0.1, 0.02, 1e-3, -5e-4, 0.0)  # of the options in conftest.py
 def flight(floor, options, tmp_path):
     """`flight("drone")`: folder of a scene in m with six cameras around it, and that metadata."""
 
-    def make(metadata):
+    def make(metadata, **others):
         center = ring(6, 15.0, (30.0, 42.0), (0.0, 360.0))
         rotation = look_at(center, 0.1 * center * center.new_tensor((1.0, 1.0, 0.0)), torch.linspace(-0.4, 0.4, 6))
         stage = Stage((floor,), rotation, center, "m", ambient=0.4, direct=0.6)
-        chosen = replace(options, metadata=metadata, sensor=SensorOptions(samples=1))
+        chosen = replace(options, metadata=metadata, sensor=SensorOptions(samples=1), **others)
         return render_scene(stage, chosen, tmp_path / "cache", SilentRecorder())
 
     return make
@@ -69,6 +69,28 @@ def test_import_finds_what_the_drone_truly_did(flight, tmp_path):
     assert capture.cameras.principal_point[0].tolist() == [24.0, 18.0]
 
 
+def test_cameras_that_take_photographs_in_turn_are_told_apart(flight, tmp_path):
+    pytest.importorskip("pyproj")
+    cameras = (
+        HeldCameraOptions(width=48, height=36, fov_deg=60.0),
+        HeldCameraOptions(width=36, height=48, fov_deg=50.0, quarter_turns=1),
+    )
+    folder = flight("drone", cameras=cameras)
+
+    import_photographs(
+        ImportOptions(photos=str(folder / "images"), out=str(tmp_path / "river"), look=False), SilentRecorder()
+    )
+
+    capture, truth = load_capture(tmp_path / "river"), load_truth(folder)
+    assert capture.camera.tolist() == [0, 1] * 3
+    assert capture.cameras.sizes == ((48, 36), (36, 48))
+    assert capture.cameras.focal[:, 0].tolist() == pytest.approx([camera.focal for camera in cameras])
+    down, heading = split_heading(truth.rotation)
+    assert torch.linalg.cross(capture.down_in_cam, down).norm(dim=-1).rad2deg().max() < 1.5
+    turned = torch.remainder(capture.heading - heading + math.pi, 2.0 * math.pi) - math.pi
+    assert turned.abs().max().rad2deg() < 1.5
+
+
 def test_metadata_changes_no_pixel_and_nothing_else_that_is_known(flight):
     pytest.importorskip("pyproj")
     plain, tagged = flight("none"), flight("drone")
@@ -91,7 +113,7 @@ def test_a_scene_in_centimetres_has_no_drone(stage, options):
     lens = Intrinsics.create(48, 36, 40.0)
 
     with pytest.raises(StageError, match="scene pond is measured in cm; metadata=drone needs a scene in m"):
-        drone_tags(stage, lens, replace(options, metadata="drone"))
+        drone_tags(stage, [lens], replace(options, metadata="drone"))
 
 
 def test_angles_of_a_gimbal_are_those_that_make_its_rotation(draw):

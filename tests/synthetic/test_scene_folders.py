@@ -62,7 +62,7 @@ def test_the_folder_is_a_capture_with_its_survey_and_truth(render, stage, option
     capture, truth = load_capture(folder), load_truth(folder)
     assert capture.names == truth.names == ("cam00.png", "cam01.png", "cam02.png")
     assert capture.index_ratio == options.index_ratio
-    assert capture.intrinsics.principal_point.tolist() == [24.0, 18.0]
+    assert capture.cameras[0].principal_point.tolist() == [24.0, 18.0]
     assert capture.has_heading.all()
     assert capture.has_height.tolist() == [True, False, False]
     assert float(capture.height[0]) == float(stage.center[0, 2])
@@ -82,7 +82,7 @@ def test_true_points_project_to_the_centres_of_their_pixels_and_lie_on_their_pla
 
     capture, truth = load_capture(folder), load_truth(folder)
     found = load_truth_points(folder, capture.names)
-    cameras = RefractiveCamera(capture.intrinsics, truth.rotation, truth.center, FlatInterface(capture.index_ratio))
+    cameras = RefractiveCamera(capture.cameras[0], truth.rotation, truth.center, FlatInterface(capture.index_ratio))
     pixels, _ = cameras[:, None, None].project(found.points)
     assert found.valid.double().mean() > 0.8
     assert float((pixels - found.pixels()).norm(dim=-1)[found.valid].max()) < 1e-4

@@ -68,13 +68,13 @@ class Tank:
 
     @cached_property
     def cameras(self) -> RefractiveCamera:
-        lens, truth = self.capture.intrinsics, self.truth
+        lens, truth = self.capture.cameras[0], self.truth
         return RefractiveCamera(lens, truth.rotation, truth.center, FlatInterface(self.index_ratio))
 
     @cached_property
     def planes_seen(self) -> list[Tensor]:
         """For each photograph the plane that each coarse square sees (rows, columns), -2 near edges."""
-        lens, window = self.capture.intrinsics, np.ones((MARGIN, MARGIN))
+        lens, window = self.capture.cameras[0], np.ones((MARGIN, MARGIN))
         grid = lens.pixel_grid(lens.height // COARSE, lens.width // COARSE)
         pieces = [Piece(str(k), rectangle, torch.zeros_like) for k, rectangle in enumerate(self.rectangles)]
         maps = []
@@ -97,7 +97,7 @@ class Tank:
     ) -> Agreement:
         """Compare photograph `image`, or its columns and rows crop (left, top, width, height), with the rendered one,
         which is rendered as if the lens had moved the image by `moved` pixels."""
-        full = self.capture.intrinsics
+        full = self.capture.cameras[0]
         left, top, width, height = (0, 0, full.width, full.height) if crop is None else crop
         away = full.principal_point.new_tensor((left, top)) - full.principal_point.new_tensor(moved)
         lens = replace(full, width=width, height=height, principal_point=full.principal_point - away)

@@ -118,7 +118,7 @@ def load() -> tuple[Tensor, tr.RefractiveCamera, list[Tensor], float]:
     )
     boards = [torch.tensor([p["origin"], p["e1"], p["e2"]], dtype=torch.float64) for p in truth["planes"]]
     ratio = float(capture.index_ratio)
-    return images, tr.RefractiveCamera(capture.intrinsics, rotation, center, tr.FlatInterface(ratio)), boards, ratio
+    return images, tr.RefractiveCamera(capture.cameras[0], rotation, center, tr.FlatInterface(ratio)), boards, ratio
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from torchrefrac.bundle.inputs import UnadjustableError, check_inputs
 from torchrefrac.bundle.observability import Determination, determinations
 from torchrefrac.bundle.options import BundleOptions
 from torchrefrac.bundle.problem import BundleProblem
-from torchrefrac.bundle.score import wished_change
+from torchrefrac.bundle.score import wished_changes
 from torchrefrac.bundle.terms import (
     CenterPrior,
     Expectations,
@@ -24,5 +24,5 @@ __all__ = [
     "BundleOptions", "BundleProblem", "BundleReport", "CenterPrior", "CommonErrors", "Determination", "Expectations",
     "GravityPrior", "HeightPrior", "KnownPoints", "ScaleBars", "Term", "UnadjustableError", "Uncertainty", "Waterline",
     "adjust", "adjust_differentiably", "adjust_pose", "check_inputs", "determinations", "estimate_pixel_sigma",
-    "uncertainty", "wished_change",
+    "uncertainty", "wished_changes",
 ]  # fmt: skip

@@ -78,7 +78,7 @@ def adjust(
 
 def adjust_pose(scene: Scene, options: BundleOptions | None = None, terms: Sequence[Term] = ()) -> BundleReport:
     """Minimise the reprojection error of the one view of a scene; points, camera and interface are fixed."""
-    options = replace(options or BundleOptions(), refine=())
+    options, scene = replace(options or BundleOptions(), refine=()), replace(scene, cameras=scene.cameras.exact())
     problem = BundleProblem.create(scene, Layout.create(scene, fix_points=True), options, terms)
     report = minimize(problem, scene, options.solver)
     return BundleReport(report.state, report.status, report.iterations, report.costs, problem)

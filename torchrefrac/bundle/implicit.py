@@ -24,7 +24,7 @@ from torchrefrac.bundle.options import BundleOptions
 from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.bundle.rows import INTRINSICS, differentiable_rows
 from torchrefrac.bundle.terms import Term
-from torchrefrac.optim import REDUCED_SIZE, GaussNewtonInverse, Step, conjugate_gradients, robust
+from torchrefrac.optim import GaussNewtonInverse, Step, conjugate_gradients, robust
 from torchrefrac.scene import Scene
 
 MAX_STEPS = 100
@@ -113,8 +113,8 @@ def _gradient(problem: BundleProblem, scene: Scene) -> Float[Tensor, " unknowns"
         pull = residual * robust(square, options.loss, options.loss_scale)[1] * seen.weights
         force = (by * pull[:, None]).sum(dim=0)
         own = force[plan.layout.reduced].T
-        if layout.fixed is not None:
-            own = torch.cat((own[:, :REDUCED_SIZE] * (~layout.fixed)[seen.view], own[:, REDUCED_SIZE:]), dim=1)
+        if (constant := layout.constant) is not None:
+            own = own * (~constant)[seen.view]
         reduced = reduced.index_add(0, plan.columns[seen.view].flatten(), own.flatten())
         points = points.index_add(0, seen.point, force[plan.layout.eliminated].T)
     for term in problem.terms:

@@ -4,7 +4,8 @@ Points are eliminated by the solver, but for those that a measurement of their o
 end of a scale bar, a point on the waterline): these are reduced unknowns like the poses.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import torch
@@ -16,13 +17,17 @@ from torchrefrac.geometry import so3_exp
 from torchrefrac.optim import REDUCED_SIZE, Family, Step
 from torchrefrac.scene import Cameras, Interfaces, Scene
 
+FISHEYE_COEFFICIENTS = 4
+STATED = ("focal", "principal_point", "distortion")
+"""Those of which cameras state errors."""
+
 
 @dataclass(frozen=True)
 class Layout:
     """camera and interface: those of each view. intrinsics and water: what varies of them (keys of `rows.INTRINSICS`
-    and of WATER_WIDTH). fixed: unknowns of the poses (rotation, centre) that do not vary; fix_points: none of the
-    points do. reduced: which points are reduced unknowns. refractive: whether the index ratio is above 1, so that
-    images depend on the plane."""
+    and of WATER_WIDTH); held: by name of the intrinsics, which numbers of which cameras do not, where some do. fixed:
+    unknowns of the poses (rotation, centre) that do not vary; fix_points: none of the points do. reduced: which points
+    are reduced unknowns. refractive: whether the index ratio is above 1, so that images depend on the plane."""
 
     camera: Int[Tensor, " m"]
     interface: Int[Tensor, " m"]
@@ -31,6 +36,7 @@ class Layout:
     num_points: int
     intrinsics: tuple[str, ...] = ()
     water: tuple[str, ...] = ()
+    held: Mapping[str, Bool[Tensor, "g width"]] = field(default_factory=dict)
     fixed: Bool[Tensor, "m 6"] | None = None
     fix_points: bool = False
     reduced: Bool[Tensor, " n"] | None = None
@@ -45,21 +51,24 @@ class Layout:
         fix_points: bool = False,
         reduced: Bool[Tensor, " n"] | None = None,
     ) -> "Layout":
-        """For `scene`, with what `refine` names varying besides poses and points. Raises ValueError for other names."""
+        """For `scene`, with what `refine` names varying besides poses and points, and of each camera what is stated to
+        be uncertain. Raises ValueError for other names."""
         known = (*INTRINSICS, *WATER_WIDTH)
         unknown = [name for name in refine if name not in known]
         if unknown:
             raise ValueError(f"refine has {unknown[0]!r}, but knows {', '.join(known)}")
         if "radial" in refine and "distortion" in refine:
             raise ValueError("refine has radial and distortion, but the first is part of the second")
+        intrinsics, held = _varying(scene.cameras, refine)
         return cls(
             camera=scene.views.camera,
             interface=scene.views.interface,
             num_cameras=len(scene.cameras),
             num_interfaces=len(scene.interfaces),
             num_points=len(scene.points),
-            intrinsics=tuple(name for name in INTRINSICS if name in refine),
+            intrinsics=intrinsics,
             water=tuple(name for name in WATER_WIDTH if name in refine),
+            held=held,
             fixed=fixed if fixed is not None and bool(fixed.any()) else None,
             fix_points=fix_points,
             reduced=reduced if reduced is not None and bool(reduced.any()) else None,
@@ -122,7 +131,20 @@ class Layout:
         """Of one kind of unknown of cameras."""
         before = sum(INTRINSICS[other].width for other in self.intrinsics[: self.intrinsics.index(name)])
         first = REDUCED_SIZE * self.num_views + self._intrinsics_size * camera + before
-        return first[:, None] + torch.arange(INTRINSICS[name].width, device=camera.device)
+        columns = first[:, None] + torch.arange(INTRINSICS[name].width, device=camera.device)
+        return torch.where(self.held[name][camera], self.size, columns) if name in self.held else columns
+
+    @cached_property
+    def constant(self) -> Bool[Tensor, "m width"] | None:
+        """Which of the reduced unknowns that the observations of each view depend on do not vary; None: all do."""
+        if self.fixed is None and not self.held:
+            return None
+        nothing = torch.zeros(self.num_views, 0, dtype=torch.bool, device=self.camera.device)
+        poses = self.fixed if self.fixed is not None else nothing.new_zeros(self.num_views, REDUCED_SIZE)
+        widths = {name: INTRINSICS[name].width for name in self.intrinsics}
+        own = [self.held.get(name, nothing.new_zeros(self.num_cameras, width)) for name, width in widths.items()]
+        water = nothing.new_zeros(self.num_views, sum(WATER_WIDTH[name] for name in self.water))
+        return torch.cat((poses, *(held[self.camera] for held in own), water), dim=1)
 
     def index_column(self) -> int:
         """Of the index ratio."""
@@ -159,6 +181,7 @@ class Layout:
         return replace(scene, cameras=cameras, views=views, interfaces=interfaces, points=points)
 
     def _moved_cameras(self, cameras: Cameras, reduced: Float[Tensor, " size"]) -> Cameras:
+        reduced = torch.nn.functional.pad(reduced, (0, 1))
         change = {name: reduced[self.intrinsics_columns(name, self.cameras)] for name in self.intrinsics}
         focal, middle, distortion = cameras.focal, cameras.principal_point, cameras.distortion
         if "focal" in change:
@@ -192,3 +215,22 @@ class Layout:
     @property
     def _plane_size(self) -> int:
         return sum(WATER_WIDTH[name] for name in self.water if name != "index_ratio")
+
+
+def _varying(cameras: Cameras, refine: tuple[str, ...]) -> tuple[tuple[str, ...], dict[str, Bool[Tensor, "g width"]]]:
+    """What varies of the intrinsics of any camera, and which numbers of which cameras do not: those that are neither to
+    be refined nor stated to be uncertain, and those that a model has not."""
+    uncertain = {name: cameras.sigma_of(name) > 0.0 for name in STATED}
+    names = {*refine, *(name for name, of in uncertain.items() if bool(of.any()))}
+    if "distortion" in names:
+        names.discard("radial")  # it is part of it
+    varying, held = tuple(name for name in INTRINSICS if name in names), {}
+    for name in varying:
+        which = torch.ones_like(cameras.fisheye) if name in refine else uncertain[name]
+        of = which[:, None].repeat(1, INTRINSICS[name].width)
+        if name == "distortion":
+            of[:, : INTRINSICS["radial"].width] |= "radial" in refine
+            of[cameras.fisheye, FISHEYE_COEFFICIENTS:] = False
+        if not bool(of.all()):
+            held[name] = ~of
+    return varying, held

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrefrac.bundle.gauge import SCALE, similarity_motions
 from torchrefrac.bundle.layout import WATER_WIDTH, Layout
 from torchrefrac.bundle.problem import BundleProblem
-from torchrefrac.bundle.terms import GlobalPrior, HeightPrior
+from torchrefrac.bundle.terms import GlobalPrior, HeightPrior, prior_sigmas
 from torchrefrac.optim import Covariance, SingularError
 from torchrefrac.scene import Scene
 
@@ -43,11 +43,13 @@ VAGUE = {  # what stands in for no knowledge: far beyond that, and yet no roundi
 @dataclass(frozen=True)
 class Determination:
     """How well one quantity is known: as a standard deviation, after the adjustment (inf: not at all) and before it
-    (None: not at all). Tilts are in degrees, heights relative to the mean height of the cameras."""
+    (None: not at all). Tilts are in degrees, heights relative to the mean height of the cameras. of: whose it is, where
+    there are several cameras (see `Cameras.label`)."""
 
     name: str
     posterior: float
     prior: float | None = None
+    of: str = ""
 
     @property
     def useful(self) -> bool:
@@ -57,10 +59,11 @@ class Determination:
     @property
     def sentence(self) -> str:
         """The same in words, with units; and how well it would have to be known where it is not known well enough."""
-        unit = UNITS.get(self.name, "")
+        unit, (what, *relative) = UNITS.get(self.name, ""), WORDS[self.name].split(", ")
+        what = ", ".join((f"{what}{self.of}", *relative))
         if math.isinf(self.posterior):
-            return f"{WORDS[self.name]}: not determined"
-        text = f"{WORDS[self.name]}: determined to {self.posterior:.2g}{unit}"
+            return f"{what}: not determined"
+        text = f"{what}: determined to {self.posterior:.2g}{unit}"
         if not self.useful:
             return f"{text}, but must be to {USEFUL[self.name]:g}{unit} to be refined"
         if self.prior is None:
@@ -105,8 +108,13 @@ def determinations(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> 
 
     result = []
     for name in layout.intrinsics:
-        columns = layout.intrinsics_columns(name, layout.cameras).flatten().tolist()
-        result.append(_judged(name, max(deviation(c) for c in columns), 1.0, expected.sigma_of(name)))
+        priors = prior_sigmas(scene.cameras, name, expected).tolist()
+        for camera in layout.camera.unique().tolist():
+            columns = layout.intrinsics_columns(name, layout.cameras[camera : camera + 1]).flatten().tolist()
+            varying = [deviation(column) for column in columns if column < layout.size]
+            if varying:
+                prior = priors[camera] if math.isfinite(priors[camera]) else None
+                result.append(_judged(name, max(varying), 1.0, prior, scene.cameras.label(camera)))
     result.append(_judged("index_ratio", deviation(layout.index_column()), 1.0, expected.index_ratio))
     planes = layout.plane_columns(layout.interfaces).tolist()
     tilt = max(deviation(column) for plane in planes for column in plane[:2])
@@ -117,9 +125,9 @@ def determinations(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> 
     return result
 
 
-def _judged(name: str, sigma: float, unit: float, prior: float | None) -> Determination:
+def _judged(name: str, sigma: float, unit: float, prior: float | None, of: str = "") -> Determination:
     beyond = name in VAGUE and sigma > 0.5 * VAGUE[name]
-    return Determination(name, math.inf if beyond else sigma * unit, None if prior is None else prior * unit)
+    return Determination(name, math.inf if beyond else sigma * unit, None if prior is None else prior * unit, of)
 
 
 def _by_heights(scene: Scene, layout: Layout) -> Float[Tensor, "e size"]:

@@ -12,7 +12,7 @@ from torchrefrac.bundle.gauge import count_gauge, gauge_directions, similarity_m
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.options import BundleOptions
 from torchrefrac.bundle.rows import RowModel, observation_rows
-from torchrefrac.bundle.terms import GlobalPrior, Term
+from torchrefrac.bundle.terms import Term, expectations
 from torchrefrac.numerics import morton_code
 from torchrefrac.optim import REDUCED_SIZE, Blocks, Linearized, SchurPlan, Step, linearize
 from torchrefrac.scene import Observations, Scene
@@ -52,12 +52,7 @@ class BundleProblem:
             plan = SchurPlan.create(seen.view, point, *sizes, locality=morton_code(free))
         except ValueError as error:
             raise ValueError("a view sees a point twice; each pair of view and point may occur once") from error
-        expected = (
-            GlobalPrior(name, scene, sigma)
-            for name in (*layout.intrinsics, *layout.water)
-            if (sigma := options.expected.sigma_of(name)) is not None
-        )
-        terms = (*terms, *expected)
+        terms = (*terms, *expectations(scene, layout, options.expected))
         return cls(plan, layout, seen[plan.order], seen_reduced, terms, options, _gauge(scene, layout, terms))
 
     @property
@@ -121,9 +116,8 @@ class BundleProblem:
     def reduced_unknowns(self) -> int:
         """How many reduced unknowns are free."""
         layout = self.layout
-        if layout.fixed is None:
-            return layout.size
-        return layout.size + int((~layout.fixed).sum()) - REDUCED_SIZE * layout.num_views
+        poses = 0 if layout.fixed is None else int((~layout.fixed).sum()) - REDUCED_SIZE * layout.num_views
+        return layout.size + poses - sum(int(held.sum()) for held in layout.held.values())
 
     def retract(self, state: Scene, step: Step) -> Scene:
         return self.layout.retract(state, step)
@@ -132,8 +126,8 @@ class BundleProblem:
         self, scene: Scene, seen: Observations, out: Float[Tensor, "..."] | None = None
     ) -> tuple[Float[Tensor, "2 row k"], Float[Tensor, ""]]:
         rows, cost = observation_rows(self.rows_of, scene, seen, self.options.compiled, out)
-        if self.layout.fixed is not None:
-            rows[:, self.plan.layout.block].mul_((~self.layout.fixed)[seen.view].T)
+        if (constant := self.layout.constant) is not None:
+            rows[:, self.plan.layout.reduced].mul_((~constant)[seen.view].T)
         if self.layout.fix_points:
             rows[:, self.plan.layout.eliminated] = 0.0
         return rows, cost

@@ -3,6 +3,9 @@
 from dataclasses import replace
 from typing import Literal
 
+from jaxtyping import Bool
+from torch import Tensor
+
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.bundle.rows import INTRINSICS, WATER_WIDTH
@@ -12,34 +15,43 @@ from torchrefrac.scene import Scene
 Given = Literal["index_ratio", "focal"]
 
 
-def wished_change(problem: BundleProblem, scene: Scene, name: Given, pixel_sigma: float) -> tuple[float, float] | None:
+def wished_changes(
+    problem: BundleProblem, scene: Scene, name: Given, pixel_sigma: float
+) -> dict[str, tuple[float, float]]:
     """One Gauss-Newton step of `name` (the index ratio, or the logarithm of the focal length) from the minimum `scene`
-    of `problem`, in which it does not vary, everything else following; and its standard deviation.
+    of `problem`, in which it does not vary, everything else following; and its standard deviation. Keys: `name`, or
+    where there are several cameras `name` and which (see `Cameras.label`).
 
-    None where it varies already, or nothing determines it. Near the minimum the step is where an adjustment with it
+    Empty where it varies already, or nothing determines it. Near the minimum the step is where an adjustment with it
     would end (Rao's score test, 1948); far off it still has the right sign.
     """
     layout = problem.layout
-    if name in (*layout.intrinsics, *layout.water):
-        return None
+    if name in (*layout.intrinsics, *layout.water) and name not in layout.held:
+        return {}
     if name == "index_ratio":
         layout = replace(layout, water=tuple(n for n in WATER_WIDTH if n in (name, *layout.water)))
     else:
-        layout = replace(layout, intrinsics=tuple(n for n in INTRINSICS if n in (name, *layout.intrinsics)))
+        intrinsics = tuple(n for n in INTRINSICS if n in (name, *layout.intrinsics))
+        held = {n: of for n, of in layout.held.items() if n != name}
+        layout = replace(layout, intrinsics=intrinsics, held=held)
     options = replace(problem.options, pixel_sigma=pixel_sigma)
     asked = problem.with_layout(scene, layout, options, problem.terms)
     linearized = asked.linearize(scene)
     try:
         covariance = Covariance.of(linearized.system)
     except SingularError:
-        return None
-    column = column_of(layout, name)
-    step, variance = linearized.solve(0.0).reduced[column], covariance.reduced[column, column]
-    return float(step), pixel_sigma * float(variance.clamp(min=0.0).sqrt())
+        return {}
+    step, variance = linearized.solve(0.0).reduced, covariance.reduced.diagonal().clamp(min=0.0)
+    columns = columns_of(scene, layout, name, problem.layout.held.get(name))
+    return {key: (float(step[column]), pixel_sigma * float(variance[column].sqrt())) for key, column in columns.items()}
 
 
-def column_of(layout: Layout, name: Given) -> int:
-    """Where the index ratio, or the focal length of the first camera, stands among the reduced unknowns."""
+def columns_of(scene: Scene, layout: Layout, name: Given, which: Bool[Tensor, "g 1"] | None = None) -> dict[str, int]:
+    """Where the index ratio, or the focal lengths of the cameras that take part, stand among the reduced unknowns.
+    which: of these cameras alone."""
     if name == "index_ratio":
-        return layout.index_column()
-    return int(layout.intrinsics_columns(name, layout.cameras[:1])[0, 0])
+        return {name: layout.index_column()}
+    rows = layout.camera.unique()
+    rows = rows if which is None else rows[which[rows, 0]]
+    columns = layout.intrinsics_columns(name, rows)[:, 0].tolist()
+    return {f"{name}{scene.cameras.label(row)}": column for row, column in zip(rows.tolist(), columns, strict=True)}

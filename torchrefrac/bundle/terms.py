@@ -4,8 +4,9 @@ Every residual is divided by its standard deviation; the adjustment multiplies i
 costs are in squared pixels.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple, Protocol
 
 import torch
@@ -16,7 +17,7 @@ from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.checks import Range, require_ranges
 from torchrefrac.geometry import Plane, skew
-from torchrefrac.scene import Scene
+from torchrefrac.scene import Cameras, Scene
 
 
 class Residuals(NamedTuple):
@@ -151,15 +152,15 @@ class Expectations:
 @dataclass(frozen=True)
 class GlobalPrior:
     """One kind of unknown of the intrinsics or the water stays near what it is in `start`, with standard deviation
-    `sigma`."""
+    `sigma`, or one for each camera, infinite where nothing is known."""
 
     name: str
     start: Scene
-    sigma: float
+    sigma: float | Float[Tensor, " g"]
 
     def residuals(self, scene: Scene, layout: Layout) -> Residuals:
         if self.name in INTRINSICS:
-            value = self._intrinsics(scene) - self._intrinsics(self.start)
+            value = self._intrinsics(scene.cameras) - self._intrinsics(self.start.cameras)
             columns = layout.intrinsics_columns(self.name, layout.cameras)
             return self._scaled(value, torch.eye(value.shape[1], dtype=value.dtype, device=value.device), columns)
         new, old = scene.interfaces, self.start.interfaces
@@ -178,18 +179,39 @@ class GlobalPrior:
         by_second = torch.stack((-(second0 * first).sum(-1), (first0 * first).sum(-1)), dim=-1)
         return self._scaled(value, torch.stack((by_first, by_second), dim=-1), columns[:, :2])
 
-    def _intrinsics(self, scene: Scene) -> Float[Tensor, "g width"]:
+    def _intrinsics(self, cameras: Cameras) -> Float[Tensor, "g width"]:
         if self.name == "focal":
-            return scene.cameras.focal[:, :1].log()
+            return cameras.focal[:, :1].log()
         if self.name == "principal_point":
-            return scene.cameras.principal_point
-        return scene.cameras.distortion[:, : INTRINSICS[self.name].width]
+            return cameras.principal_point
+        return cameras.distortion[:, : INTRINSICS[self.name].width]
 
     def _scaled(
         self, value: Float[Tensor, "k numbers"], jacobian: Float[Tensor, "*#k width"], columns: Int[Tensor, "k width"]
     ) -> Residuals:
         jacobian = jacobian.expand(len(value), value.shape[1], -1)
-        return Residuals(value / self.sigma, jacobian / self.sigma, columns)
+        sigma = torch.as_tensor(self.sigma, dtype=value.dtype, device=value.device).reshape(-1, 1)
+        return Residuals(value / sigma, jacobian / sigma[..., None], columns)
+
+
+def expectations(scene: Scene, layout: Layout, expected: Expectations) -> list[GlobalPrior]:
+    """What is known beforehand of what varies: of cameras as they state it, or else as `expected`."""
+    cameras, terms = scene.cameras, []
+    stated = scene if cameras.stated is None else replace(scene, cameras=cameras.stated)
+    for name in layout.intrinsics:
+        sigma = prior_sigmas(cameras, name, expected)
+        if bool(sigma.isfinite().any()):
+            terms.append(GlobalPrior(name, stated, sigma))
+    for name in layout.water:
+        if (sigma := expected.sigma_of(name)) is not None:
+            terms.append(GlobalPrior(name, scene, sigma))
+    return terms
+
+
+def prior_sigmas(cameras: Cameras, name: str, expected: Expectations) -> Float[Tensor, " g"]:
+    """Standard deviation of a kind of unknown of each camera before an adjustment; infinite: nothing is known."""
+    own, otherwise = cameras.sigma_of("distortion" if name == "radial" else name), expected.sigma_of(name)
+    return torch.where(own > 0.0, own, math.inf if otherwise is None else otherwise)
 
 
 def concerned_points(terms: Sequence[Term], points: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"] | None:

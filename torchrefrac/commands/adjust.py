@@ -63,7 +63,7 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
     in `folder`. Returns the metrics.
 
     `folder` then holds colmap/, water.json, points.ply (with a standard deviation for every point), tracks.npz and
-    metrics.json; and cameras.json where there is one camera and the water is the plane z = 0. metrics.json says why,
+    metrics.json; and cameras.json where the water is the plane z = 0. metrics.json says why,
     where this fails. Of a run its own water, photographs and truth are taken where the options name none. Raises
     OutRefusedError, before anything is written, where the results would replace what was given.
     """
@@ -233,7 +233,7 @@ def _write(scene: Scene, folder: Path, binary: bool) -> None:
     write_water(scene, folder / WATER)
     write_points(scene.points, scene.colors, folder / "points.ply", scene.assessment, scene.dry)
     write_tracks(scene, folder / TRACKS)
-    if len(scene.cameras) == 1 and scene.interfaces.is_level:
+    if scene.interfaces.is_level:
         write_cameras(scene, folder / "cameras.json")
 
 

@@ -104,11 +104,10 @@ def open_run(folder: Path, given: str | None = None) -> SparseRun:
     if not (folder / CAMERAS).is_file():
         raise SceneError(
             f"{folder} holds no {CAMERAS}, so there is no sparse model to begin with: run `torchrefrac` first (after "
-            "`torchrefrac adjust` there is one where the water is the plane z = 0 and the images share one lens)"
+            "`torchrefrac adjust` there is one where the water is the plane z = 0)"
         )
     scene = read_run(folder)
     capture = load_capture(_capture_folder(folder, given))
-    _require_same_size(capture, scene, folder)
     row = {name: i for i, name in enumerate(capture.names)}
     views = list(zip(scene.views.names, scene.views.registered.tolist(), strict=True))
     lost = [name for name, registered in views if registered and name not in row]
@@ -118,7 +117,9 @@ def open_run(folder: Path, given: str | None = None) -> SparseRun:
             f"{folder / CAMERAS}; take both from the same photographs"
         )
     scene = scene.of_views(torch.tensor([name in row for name, _ in views]))
-    return SparseRun(folder, replace(scene, capture=capture.of_views([row[name] for name in scene.views.names])))
+    capture = capture.of_views([row[name] for name in scene.views.names])
+    _require_same_sizes(capture, scene, folder)
+    return SparseRun(folder, replace(scene, capture=capture))
 
 
 def _capture_folder(folder: Path, given: str | None) -> Path:
@@ -137,9 +138,11 @@ def _capture_folder(folder: Path, given: str | None) -> Path:
     return known
 
 
-def _require_same_size(capture: Capture, scene: Scene, folder: Path) -> None:
-    found, wanted = (f"{camera.width}x{camera.height}" for camera in (capture.intrinsics, scene.intrinsics))
-    if found != wanted:
-        raise CaptureError(
-            f"the photographs in {capture.folder} are {found}, but those of {folder} were {wanted}; give those"
-        )
+def _require_same_sizes(capture: Capture, scene: Scene, folder: Path) -> None:
+    here, there = capture.cameras.sizes, scene.cameras.sizes
+    for row, before in zip(capture.camera.tolist(), scene.views.camera.tolist(), strict=True):
+        if here[row] != there[before]:
+            found, wanted = (f"{width}x{height}" for width, height in (here[row], there[before]))
+            raise CaptureError(
+                f"the photographs in {capture.folder} are {found}, but those of {folder} were {wanted}; give those"
+            )

@@ -55,8 +55,8 @@ def reconstruct(
     """Reconstruct cameras and sparse points of a capture.
 
     `on_stage(name, product, seconds)` hears of every finished stage: "features" (list of Features), "levelling" (the
-    capture with estimated verticals; only where gravity is unknown and refraction can show it), "matching" (list of
-    VerifiedPair), "sparse" (Scene). Deterministic for given options. Raises ReconstructionError when no two
+    capture with estimated verticals; only where gravity of any image is unknown and refraction can show it), "matching"
+    (list of VerifiedPair), "sparse" (Scene). Deterministic for given options. Raises ReconstructionError when no two
     images can be related, or no pair shows which way is down.
     """
     options = options or Options()
@@ -67,7 +67,7 @@ def reconstruct(
     features = stage("features", lambda: _extract(capture, options, recorder))
     matches = stage.part("matching", lambda: _match(features, options, recorder))
     ratio, stated = options.water.ratio_of(capture.index_ratio), capture
-    if options.model.name == "refractive" and ratio > 1.0 and not capture.has_gravity:
+    if options.model.name == "refractive" and ratio > 1.0 and bool(capture.down_sigma.isinf().any()):
         given, how = capture, options.sfm
         try:
             capture = stage("levelling", lambda: level_capture(given, matches, features, ratio, how, recorder))

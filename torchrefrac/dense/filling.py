@@ -24,19 +24,19 @@ def fill_views(
     neighbourhoods: dict[int, Neighbourhood], images: Images, options: DenseOptions, recorder: Recorder, store: Store
 ) -> Patches:
     """The patches of all views, those with most sparse points first: what they find need not be found again."""
-    height, width = images.size
-    per_view = (height // options.cell) * (width // options.cell)
+    sizes = {view: images.size(view) for view in neighbourhoods}
+    per_view = {view: (height // options.cell) * (width // options.cell) for view, (height, width) in sizes.items()}
     order = sorted(neighbourhoods.items(), key=lambda item: -len(item[1].points))
     known: list[Patches] = [Patches.empty(options.views)]
     made, start = 0, time.perf_counter()
-    with recorder.meter(len(order) * per_view, "densifying", "cell") as advance:
+    with recorder.meter(sum(per_view.values()), "densifying", "cell") as advance:
         for step, (view, neighbourhood) in enumerate(order):
             done = store.load(view)
             if done is not None:
                 known.append(done)
-                advance(per_view, "")
+                advance(per_view[view], "")
                 continue
-            left, parts = per_view, [Patches.empty(options.views)]
+            left, parts = per_view[view], [Patches.empty(options.views)]
             for scope in scopes(neighbourhood, images, options):
                 cells, before = Cells(scope, options.cell), Patches.together([*known, *parts]).to(scope.device)
                 for patches in METHODS[options.method](scope, cells, before, options):

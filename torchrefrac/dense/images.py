@@ -29,11 +29,15 @@ class Images:
         where: Callable[[int], Bool[Tensor, "height width"]] | None = None,
     ) -> None:
         self.capture, self._where = capture, where
-        self.size = (capture.intrinsics.height, capture.intrinsics.width)
         self._masks = Masks(capture)
         self.grey = lru_cache(maxsize=remembered)(self._grey)
         self.allowed = lru_cache(maxsize=remembered)(self._allowed)
         self.interest_points = lru_cache(maxsize=None)(self._interest_points)
+
+    def size(self, image: int) -> tuple[int, int]:
+        """Height and width of an image."""
+        width, height = self.capture.cameras.sizes[int(self.capture.camera[image])]
+        return height, width
 
     @property
     def has_masks(self) -> bool:
@@ -58,12 +62,12 @@ class Images:
         path = self.capture.paths[image]
         if not path.is_file():
             raise CaptureError(f"{path} does not exist any more, but the reconstruction has its pose; put it back")
-        return self._sized(torch.from_numpy(read_grey(path)), path)
+        return self._sized(torch.from_numpy(read_grey(path)), path, self.size(image))
 
     def _interest_points(self, image: int) -> InterestPoints:
         """One corner and one blob at most in every block of an image, found part by part."""
         grey = self.grey(image)
-        height, width = self.size
+        height, width = self.size(image)
         found = []
         for top in range(0, height, PART):
             for left in range(0, width, PART):
@@ -79,12 +83,15 @@ class Images:
     def _allowed(self, image: int) -> Bool[Tensor, "height width"]:
         """Which pixels may be used."""
         used = self._masks.used(image)
-        allowed = torch.ones(self.size, dtype=torch.bool) if used is None else used
+        allowed = torch.ones(self.size(image), dtype=torch.bool) if used is None else used
         return allowed if self._where is None else allowed & self._where(image)
 
-    def _sized(self, picture: UInt8[Tensor, "height width"], path: Path) -> UInt8[Tensor, "height width"]:
-        if tuple(picture.shape) != self.size:
-            found, wanted = (f"{width}x{height}" for height, width in (picture.shape, self.size))
+    @staticmethod
+    def _sized(
+        picture: UInt8[Tensor, "height width"], path: Path, size: tuple[int, int]
+    ) -> UInt8[Tensor, "height width"]:
+        if tuple(picture.shape) != size:
+            found, wanted = (f"{width}x{height}" for height, width in (picture.shape, size))
             raise CaptureError(f"{path} is {found}, but the images are {wanted}; give it their size")
         return picture
 

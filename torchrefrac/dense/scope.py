@@ -1,11 +1,12 @@
 """A reference image cut into tiles, and of the other images what a tile can see: memory does not grow with them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torchrefrac.dense.atlas import Atlas
 from torchrefrac.dense.images import Images
@@ -43,7 +44,10 @@ class Scope(Neighbourhood):
     def is_allowed(self, image: Int[Tensor, "*batch"], pixels: Float[Tensor, "*batch 2"]) -> Bool[Tensor, "*batch"]:
         """Whether pixels of local images are inside and not masked."""
         intrinsics = self.cameras.intrinsics
-        inside = intrinsics.contains(pixels)
+        if (sizes := intrinsics.sizes) is None:
+            inside = intrinsics.contains(pixels)
+        else:
+            inside = ((pixels >= 0.0) & (pixels <= sizes[image])).all(dim=-1)
         if self.allowed is None:
             return inside
         column = pixels[..., 0].long().clamp(0, intrinsics.width - 1)
@@ -65,10 +69,10 @@ class Scope(Neighbourhood):
 
 def scopes(neighbourhood: Neighbourhood, images: Images, options: DenseOptions) -> Iterator[Scope]:
     """The scopes of all tiles of the reference; one for the whole where it is small enough."""
-    device, (height, width) = torch.device(options.device), images.size
+    device, (height, width) = torch.device(options.device), images.size(int(neighbourhood.ids[0]))
     whole = max(width, height) <= options.max_tile
     for tile in [(0, 0, width, height)] if whole else tile_boxes(width, height, options):
-        boxes = [tile] * len(neighbourhood.ids) if whole else _boxes(neighbourhood, tile, options)
+        boxes = _whole(neighbourhood, images) if whole else _boxes(neighbourhood, images, tile, options)
         seen = torch.tensor([box[2] > box[0] and box[3] > box[1] for box in boxes])
         if int(seen.sum()) < 2:
             continue
@@ -87,7 +91,7 @@ def scopes(neighbourhood: Neighbourhood, images: Images, options: DenseOptions) 
             points=neighbourhood.points.to(device),
             pixels=neighbourhood.pixels.to(device),
             atlas=Atlas.build(greys, options.levels, origin, options.interpolation),
-            allowed=torch.stack([images.allowed(int(i)) for i in ids]).to(device) if images.has_masks else None,
+            allowed=_stacked([images.allowed(int(i)) for i in ids]).to(device) if images.has_masks else None,
             tile=tile,
             interest_points=images.interest_points,
         )
@@ -102,7 +106,19 @@ def tile_boxes(width: int, height: int, options: DenseOptions) -> Iterator[Box]:
             yield max(left - reach, 0), max(top - reach, 0), min(left + step, width), min(top + step, height)
 
 
-def _boxes(neighbourhood: Neighbourhood, tile: Box, options: DenseOptions) -> list[Box]:
+def _whole(neighbourhood: Neighbourhood, images: Images) -> list[Box]:
+    """All of each image."""
+    sizes = (images.size(i) for i in neighbourhood.ids.tolist())
+    return [(0, 0, width, height) for height, width in sizes]
+
+
+def _stacked(masks: Sequence[Bool[Tensor, "_ _"]]) -> Bool[Tensor, "v height width"]:
+    """Masks as one table, where nothing is allowed beyond an image that is smaller than others."""
+    height, width = (max(mask.shape[axis] for mask in masks) for axis in (0, 1))
+    return torch.stack([pad(mask, (0, width - mask.shape[1], 0, height - mask.shape[0])) for mask in masks])
+
+
+def _boxes(neighbourhood: Neighbourhood, images: Images, tile: Box, options: DenseOptions) -> list[Box]:
     """What each image shows of the tile, with room for windows in the smallest copies; empty: nothing."""
     cameras, (left, top, right, bottom) = neighbourhood.cameras, tile
     x, y = torch.linspace(left, right, BORDER_SAMPLES), torch.linspace(top, bottom, BORDER_SAMPLES)
@@ -112,8 +128,8 @@ def _boxes(neighbourhood: Neighbourhood, tile: Box, options: DenseOptions) -> li
     at, valid = cameras[:, None].project(points)
     margin = options.window << (options.levels - 1)
     step = 1 << (options.levels - 1)
-    width, height = cameras.intrinsics.width, cameras.intrinsics.height
-    return [_box_of(p[v], margin, step, width, height) for p, v in zip(at, valid, strict=True)]
+    sizes = [images.size(i) for i in neighbourhood.ids.tolist()]
+    return [_box_of(p[v], margin, step, w, h) for p, v, (h, w) in zip(at, valid, sizes, strict=True)]
 
 
 def _box_of(pixels: Float[Tensor, "k 2"], margin: int, step: int, width: int, height: int) -> Box:

@@ -130,7 +130,7 @@ def fingerprint(scene: Scene, options: DenseOptions) -> str:
         *_drawn(capture),
     ):
         digest.update(tensor.contiguous().numpy().tobytes())
-    digest.update(repr(cameras.sizes).encode())
+    digest.update(repr((cameras.sizes, cameras.models, views.camera.tolist())).encode())
     for path in (*capture.paths, *sorted((capture.folder / MASKS).glob("**/*.png"))):
         stat = path.stat()
         digest.update(repr((path.name, stat.st_size, stat.st_mtime_ns)).encode())

@@ -79,11 +79,11 @@ def _draw(panel: Any, shown: Scene, truth: Truth | None, frame: Float[Tensor, "3
 def pyramids(shown: Scene) -> Float[Tensor, "lines 4 3"]:
     """Four lines for each of the registered cameras: from the centre to two neighbouring corners of the image and back,
     so long that neighbouring cameras just do not touch."""
-    intrinsics, centers = shown.intrinsics, shown.views.center[shown.views.registered]
-    width, height = float(intrinsics.width), float(intrinsics.height)
-    corners = centers.new_tensor(((0.0, 0.0), (width, 0.0), (width, height), (0.0, height)))
-    plane = intrinsics.plane_from_pixels(corners)
-    rays = torch.cat((plane, torch.ones_like(plane[:, :1])), dim=-1)
+    camera, centers = shown.views.camera[shown.views.registered], shown.views.center[shown.views.registered]
+    around = centers.new_tensor(((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)))
+    corners = around * centers.new_tensor(shown.cameras.sizes)[camera, None]
+    plane = shown.cameras.of_views(camera[:, None]).plane_from_pixels(corners)
+    rays = torch.cat((plane, torch.ones_like(plane[..., :1])), dim=-1)
     apart = torch.cdist(centers, centers) + torch.diag(centers.new_full((len(centers),), torch.inf))
     extent = float((centers.amax(dim=0) - centers.amin(dim=0)).max())
     nearest = float(apart.amin(dim=-1).median()) if len(centers) > 1 else 1.0

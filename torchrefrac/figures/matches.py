@@ -65,7 +65,8 @@ def record_residuals(capture: Capture, scene: Scene, recorder: Recorder) -> None
         return
     rows, residuals = _residuals(scene)
     image, pixels = scene.observations.view[rows], scene.observations.pixels[rows]
-    factor = exaggeration(residuals, capture.intrinsics.width)
+    widths = torch.tensor([width for width, _ in capture.cameras.sizes])[capture.camera]
+    factor = exaggeration(residuals, widths[image])
     for i in spread(scene.views.registered.nonzero()[:, 0], MOST_IMAGES).tolist():
         here = image == i
         picture = residual_picture(read_color(capture.paths[i]), pixels[here], residuals[here], factor)
@@ -105,11 +106,11 @@ def residual_picture(
     return picture
 
 
-def exaggeration(residuals: Float[Tensor, "n 2"], width: int) -> int:
-    """The round factor at which a median residual of an image of this width is about READABLE pixels long."""
+def exaggeration(residuals: Float[Tensor, "n 2"], width: Int[Tensor, " n"] | int) -> int:
+    """The round factor at which a median residual of images of this width is about READABLE pixels long."""
     if not len(residuals):
         return 1
-    wanted = READABLE / max(float(residuals.norm(dim=-1).median()) * WIDTH / width, 1e-9)
+    wanted = READABLE / max(float((residuals.norm(dim=-1) * (WIDTH / width)).median()), 1e-9)
     return min(FACTORS, key=lambda factor: abs(np.log(factor / wanted)))
 
 

@@ -44,7 +44,8 @@ def shift_map(
     scene: Scene, image: int, depth: float
 ) -> tuple[Float[Tensor, "h w 2"], Float[Tensor, "h w 2"], Bool[Tensor, "h w"]]:
     """Pixels over an image, the shifts of what they see at `depth`, and whether there are any."""
-    camera, intrinsics = scene.camera_of(image), scene.intrinsics
+    camera = scene.camera_of(image)
+    intrinsics = camera.intrinsics
     columns = min(CELLS, intrinsics.width)
     rows = max(2, round(columns * intrinsics.height / intrinsics.width))
     pixels = intrinsics.pixel_grid(rows, columns).to(torch.float64)
@@ -57,15 +58,18 @@ def shift_map(
 
 def shift_figure(scene: Scene, images: Sequence[int], depth: float, photographs: Sequence[Path]) -> Any:
     """A panel an image: lines of equal shift and arrows of its direction, over the photograph where it is at hand."""
-    width, height = scene.intrinsics.width, scene.intrinsics.height
+    extents = [scene.cameras.sizes[int(scene.views.camera[image])] for image in images]
     maps = [shift_map(scene, image, depth) for image in images]
     sizes = [shift.norm(dim=-1).where(valid, torch.nan) for _, shift, valid in maps]
     every = torch.cat([size[size.isfinite()] for size in sizes])
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 1.0)
     colored = color_scale(low, max(high, low + 1e-6), "viridis")
-    figure = blank_figure(WIDTH if len(images) > 1 else 6.8, 0.6 + 4.0 * height / width)
+    tallest = max(height / width for width, height in extents)
+    figure = blank_figure(WIDTH if len(images) > 1 else 6.8, 0.6 + 4.0 * tallest)
     grid = figure.subplots(1, len(images), squeeze=False)[0]
-    for panel, image, (pixels, shift, valid), size in zip(grid, images, maps, sizes, strict=True):
+    for panel, image, (width, height), (pixels, shift, valid), size in zip(
+        grid, images, extents, maps, sizes, strict=True
+    ):
         panel.set(xlim=(0, width), ylim=(height, 0), aspect="equal", facecolor=EMPTY)
         _photograph(panel, photographs[image] if photographs else None, width, height)
         (x, y), moved, here = pixels.numpy().transpose(2, 0, 1), shift.numpy(), valid.numpy()

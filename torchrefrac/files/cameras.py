@@ -12,7 +12,13 @@ from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.files.fields import Fields, different_names, scene_fields, write_json
-from torchrefrac.files.intrinsics import intrinsics_content, read_intrinsics
+from torchrefrac.files.intrinsics import (
+    camera_of_images,
+    cameras_content,
+    intrinsics_content,
+    read_cameras_table,
+    read_intrinsics,
+)
 from torchrefrac.files.ply import kind_of_coordinates, write_vertices
 from torchrefrac.files.swap import settle
 from torchrefrac.geometry import Rigid
@@ -27,8 +33,10 @@ from torchrefrac.scene import (
     largest_deviation,
     mean_deviation,
 )
+from torchrefrac.scene.tables import PLAIN
 
-CAMERAS, FORMAT = "cameras.json", "torchrefrac-cameras/1"
+CAMERAS, FORMAT, SEVERAL = "cameras.json", "torchrefrac-cameras/1", "torchrefrac-cameras/2"
+"""The second format has a table of cameras; the first is written where there is one, with five coefficients."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,17 +56,18 @@ def load_cameras(run: str | Path) -> NamedCameras:
     scene = read_cameras(run / CAMERAS if run.is_dir() else run)
     scene = scene.of_views(scene.views.registered)
     of, views = scene.camera_of(), scene.views
-    return NamedCameras(of.intrinsics, views.rotation, views.center, of.interface, check=False, names=views.names)
+    intrinsics = scene.cameras.of_views(views.camera, coefficients=5)
+    return NamedCameras(intrinsics, views.rotation, views.center, of.interface, check=False, names=views.names)
 
 
 def write_cameras(scene: Scene, path: Path) -> None:
     """Write poses, intrinsics, index ratio and, where it is known, the covariance of each registered view's centre, in
     squares of the length unit; the frame and the convention of pixels are those of the package.
 
-    Raises SceneError where there are several cameras, or water that is not the plane z = 0: the file has no place for
-    them.
+    Raises SceneError for water that is not the plane z = 0: the file has no place for it.
     """
-    intrinsics, views = scene.intrinsics, scene.views
+    cameras, views = scene.cameras, scene.views
+    several = len(cameras) != 1 or cameras.models != (PLAIN,) or cameras.coefficients > 5
     if not scene.interfaces.is_level:
         remedy = "write a COLMAP model and water.json"
         raise SceneError(f"{path} has no place for water that is not the plane z = 0; {remedy}")
@@ -67,6 +76,8 @@ def write_cameras(scene: Scene, path: Path) -> None:
     images: list[dict[str, object]] = []
     for i, (name, registered) in enumerate(zip(views.names, views.registered.tolist(), strict=True)):
         entry: dict[str, object] = {"name": name, "registered": registered}
+        if several:
+            entry["camera"] = cameras.names[int(views.camera[i])]
         if registered:
             entry["cam_from_world_rotation"] = views.rotation[i].tolist()
             entry["center_in_world"] = views.center[i].tolist()
@@ -75,16 +86,18 @@ def write_cameras(scene: Scene, path: Path) -> None:
         else:
             entry["reason"] = scene.failures.get(name, "")
         images.append(entry)
-    content: dict[str, object] = {"format": FORMAT, "length_unit": scene.length_unit, "index_ratio": scene.index_ratio}
-    content |= {"pixel_origin": "corner", "intrinsics": intrinsics_content(intrinsics), "images": images}
-    write_json(content, path)
+    known = {"length_unit": scene.length_unit, "index_ratio": scene.index_ratio, "pixel_origin": "corner"}
+    lenses: dict[str, object] = {"cameras": cameras_content(cameras)}
+    if not several:
+        lenses = {"intrinsics": intrinsics_content(cameras[0])}
+    write_json({"format": SEVERAL if several else FORMAT, **known, **lenses, "images": images}, path)
 
 
 def read_cameras(path: Path) -> Scene:
     """Read `cameras.json`: the views of a run, registered or not, without points, and of the assessment that of the
     centres. Raises SceneError, with the file and the field, for anything that cannot be right."""
     with scene_fields(path) as top:
-        top.must_be("format", FORMAT)
+        several = top.must_be("format", FORMAT, SEVERAL) == SEVERAL
         top.must_be("pixel_origin", "corner")
         if top.number("index_ratio") < 1.0:
             raise top.fail("index_ratio", f"is {top.number('index_ratio'):g}, but must be at least 1")
@@ -95,11 +108,12 @@ def read_cameras(path: Path) -> Scene:
         pose = Rigid.identity(len(images))
         pose.rotation[known] = _table([image.rotation("cam_from_world_rotation") for image in registered], 3, 3)
         pose.center[known] = _table([image.position("center_in_world") for image in registered], 3)
-        intrinsics = top.object("intrinsics")
+        cameras = read_cameras_table(top.members("cameras")) if several else _only(top.object("intrinsics"))
+        camera = torch.tensor(camera_of_images(images, cameras)) if several else None
         none = torch.zeros(0, 3, dtype=torch.float64)
         return Scene(
-            cameras=Cameras.of([read_intrinsics(intrinsics, counts=(5,))]),
-            views=replace(Views.posed(pose, names), registered=known),
+            cameras=cameras,
+            views=replace(Views.posed(pose, names, camera), registered=known),
             interfaces=Interfaces.level(top.number("index_ratio")),
             points=none,
             colors=none.to(torch.uint8),
@@ -110,6 +124,10 @@ def read_cameras(path: Path) -> Scene:
             failures={image.text("name"): image.text("reason", "") for image in images if not image.flag("registered")},
             assessment=_assessment(registered),
         )
+
+
+def _only(intrinsics: Fields) -> Cameras:
+    return Cameras.of([read_intrinsics(intrinsics, counts=(5,))])
 
 
 def _table(rows: Sequence[Any], *shape: int) -> Float[Tensor, "m *shape"]:

@@ -10,7 +10,7 @@ from torchrefrac.camera import Intrinsics
 from torchrefrac.files.extent import read_extent
 from torchrefrac.files.fields import Fields, different_names, read_json
 from torchrefrac.files.interface import read_index_ratio
-from torchrefrac.files.intrinsics import read_cameras_table, read_intrinsics
+from torchrefrac.files.intrinsics import camera_of_images, read_cameras_table, read_intrinsics
 from torchrefrac.files.masks import IMAGES, Masks
 from torchrefrac.files.measured import FIELDS as MEASURED
 from torchrefrac.files.measured import read_measured, require_for_all
@@ -86,20 +86,6 @@ def read_capture_cameras(top: Fields) -> Cameras:
     fields = top.object("intrinsics")
     fields.only("width", "height", "fx", "fy", "cx", "cy", "distortion")
     return Cameras.of([read_intrinsics(fields, shift, (5,))])
-
-
-def camera_of_images(images: Sequence[Fields], cameras: Cameras) -> list[int]:
-    """The row of the camera of each image, which may leave out its name where there is only one."""
-    rows = {name: row for row, name in enumerate(cameras.names)}
-    found = []
-    for image in images:
-        if "camera" not in image and len(cameras) > 1:
-            raise image.fail("camera", f"is missing, but there are several cameras: {', '.join(rows)}")
-        name = image.text("camera", cameras.names[0])
-        if name not in rows:
-            raise image.fail("camera", f"is {name!r}, but cameras has {', '.join(rows)}")
-        found.append(rows[name])
-    return found
 
 
 def pixel_shift(top: Fields, origin: str) -> float:

@@ -30,6 +30,20 @@ def read_cameras_table(cameras: dict[str, Fields], shift: float = 0.0) -> Camera
     return replace(table, focal_sigma=focal, principal_point_sigma=middle, distortion_sigma=distortion)
 
 
+def camera_of_images(images: Sequence[Fields], cameras: Cameras) -> list[int]:
+    """The row of the camera of each image, which may leave out its name where there is only one."""
+    rows = {name: row for row, name in enumerate(cameras.names)}
+    found = []
+    for image in images:
+        if "camera" not in image and len(cameras) > 1:
+            raise image.fail("camera", f"is missing, but there are several cameras: {', '.join(rows)}")
+        name = image.text("camera", cameras.names[0])
+        if name not in rows:
+            raise image.fail("camera", f"is {name!r}, but cameras has {', '.join(rows)}")
+        found.append(rows[name])
+    return found
+
+
 def read_intrinsics(fields: Fields, shift: float = 0.0, counts: Sequence[int] = ()) -> Intrinsics:
     """Size, focal lengths, principal point, which is moved by `shift` pixels both ways, and distortion: of as many
     coefficients as one of `counts` says, by default as the model has."""
@@ -54,6 +68,16 @@ def intrinsics_content(intrinsics: Intrinsics) -> dict[str, Any]:
     if intrinsics.fisheye is not None:
         return {"model": "fisheye", **named, "distortion": distortion[:4]}
     return {**named, "distortion": distortion}
+
+
+def cameras_content(cameras: Cameras) -> dict[str, Any]:
+    """What `read_cameras_table` reads."""
+    content = {}
+    for row, name in enumerate(cameras.names):
+        sigmas = {key: float(getattr(cameras, f"{key}_sigma")[row]) for key in MOST_UNCERTAIN}
+        known = {key: sigma for key, sigma in sigmas.items() if sigma > 0.0}
+        content[name] = {**intrinsics_content(cameras[row]), **({"sigma": known} if known else {})}
+    return content
 
 
 def _sigma(fields: Fields) -> list[float]:

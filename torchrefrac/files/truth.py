@@ -10,10 +10,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
-from torchrefrac.files.capture import camera_of_images, read_capture_cameras
+from torchrefrac.files.capture import read_capture_cameras
 from torchrefrac.files.extent import read_extent
 from torchrefrac.files.fields import Fields, read_json
 from torchrefrac.files.interface import read_index_ratio
+from torchrefrac.files.intrinsics import camera_of_images
 from torchrefrac.files.npz import read_arrays
 from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.scene import CaptureError, Truth, TruthPoints

@@ -37,6 +37,7 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
         title=words.job_name(record),
         run=contents,
         record=record,
+        sizes=words.sizes(contents.capture) if contents.capture is not None else "",
         model_words=words.MODELS.get(record.model, ""),
         verdict=words.verdict(record, contents.unit),
         tiles=_tiles(contents),

@@ -1,6 +1,7 @@
 """Numbers and sentences of a report: no more digits than mean something."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -8,6 +9,7 @@ from torchrefrac.figures.plotting import UNKNOWN, rounded
 from torchrefrac.figures.side_views import TITLES
 from torchrefrac.files.run import RunRecord, RunStatus
 from torchrefrac.files.swap import home
+from torchrefrac.scene import Capture
 
 MODELS = {
     "none": "as if there were no water",
@@ -41,6 +43,12 @@ def plain(value: float) -> str:
 def counted(count: int) -> str:
     """A whole number with thin spaces between its thousands."""
     return f"{count:,}".replace(",", "\u202f")
+
+
+def sizes(capture: Capture) -> str:
+    """How many photographs there are of which size."""
+    counts = Counter(capture.cameras.sizes[row] for row in capture.camera.tolist())
+    return " and ".join(f"{count} of {width} \u00d7 {height}" for (width, height), count in counts.most_common())
 
 
 def seconds(value: float) -> str:

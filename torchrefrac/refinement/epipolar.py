@@ -25,11 +25,12 @@ Pair = tuple[Part, Part]
 
 class Views(NamedTuple):
     """Cameras and the rays of pixels: rotation as rows and center as components, with a last dimension of 1; plane: the
-    ideal image coordinates x, y, along that dimension."""
+    ideal image coordinates x, y, along that dimension, which focal (fx, fy) turns into pixels."""
 
     rotation: tuple[Triple, Triple, Triple]
     center: Triple
     plane: Pair
+    focal: Pair
 
 
 class EpipolarError(NamedTuple):
@@ -66,29 +67,29 @@ class _Ray(NamedTuple):
     q: Pair
 
 
-def epipolar_error(first: Views, second: Views, focal: Pair, index_ratio: Float[Tensor, ""]) -> EpipolarError:
-    """Error of matches in two views; focal (fx, fy) turns image coordinates into pixels."""
-    seen = _constrain(first, second, focal, index_ratio)
+def epipolar_error(first: Views, second: Views, index_ratio: Float[Tensor, ""]) -> EpipolarError:
+    """Error of matches in two views."""
+    seen = _constrain(first, second, index_ratio)
     return EpipolarError(seen.value * seen.square.rsqrt(), seen.depth, seen.down)
 
 
-def epipolar_jacobian(first: Views, second: Views, focal: Pair, index_ratio: Float[Tensor, ""]) -> EpipolarJacobian:
+def epipolar_jacobian(first: Views, second: Views, index_ratio: Float[Tensor, ""]) -> EpipolarJacobian:
     """Error of matches in two views and its derivatives in both cameras.
 
     Everything is linearised at the corrected pixels, where the rays meet (Gauss-Helmert). At the measured ones the
     noise of the error and of its derivatives would be correlated, which biases the least-squares pose by more than its
     standard deviation.
     """
-    seen = _constrain(first, second, focal, index_ratio)
+    seen = _constrain(first, second, index_ratio)
     back = seen.value / seen.square
     corrected = [
-        view._replace(plane=tuple(x - back * s / f for x, s, f in zip(view.plane, slopes, focal, strict=True)))
+        view._replace(plane=tuple(x - back * s / f for x, s, f in zip(view.plane, slopes, view.focal, strict=True)))
         for view, slopes in zip((first, second), seen.by_pixel, strict=True)
     ]
-    there = _constrain(corrected[0], corrected[1], focal, index_ratio)
+    there = _constrain(corrected[0], corrected[1], index_ratio)
     value = there.value
     for view, moved, slopes in zip((first, second), corrected, there.by_pixel, strict=True):
-        for x, at, slope, f in zip(view.plane, moved.plane, slopes, focal, strict=True):
+        for x, at, slope, f in zip(view.plane, moved.plane, slopes, view.focal, strict=True):
             value = torch.addcmul(value, slope, (x - at) * f)
     scale = there.square.rsqrt()
     turn = tuple(triples.scaled(scale, triples.cross(b, r.v)) for b, r in zip(there.by_v, there.rays, strict=True))
@@ -122,7 +123,7 @@ class _Constraint(NamedTuple):
     square: Part
 
 
-def _constrain(first: Views, second: Views, focal: Pair, index_ratio: Float[Tensor, ""]) -> _Constraint:
+def _constrain(first: Views, second: Views, index_ratio: Float[Tensor, ""]) -> _Constraint:
     excess = (index_ratio - 1.0) * (index_ratio + 1.0)
     one, two = (_ray(view, index_ratio, excess) for view in (first, second))
     (gx, gy), (wx, wy) = ((a[0] - b[0], a[1] - b[1]) for a, b in ((one.q, two.q), (one.w, two.w)))
@@ -130,7 +131,7 @@ def _constrain(first: Views, second: Views, focal: Pair, index_ratio: Float[Tens
     b1 = _by_ray(first, one, 1.0, by_q, by_w, excess)
     b2 = _by_ray(second, two, -1.0, by_q, by_w, excess)
     by_pixel = tuple(
-        (triples.dot(view.rotation[0], b) / focal[0], triples.dot(view.rotation[1], b) / focal[1])
+        (triples.dot(view.rotation[0], b) / view.focal[0], triples.dot(view.rotation[1], b) / view.focal[1])
         for view, b in ((first, b1), (second, b2))
     )
     apart = torch.addcmul(wx * wx, wy, wy).clamp(min=torch.finfo(wx.dtype).tiny)  # of slopes, squared

@@ -33,7 +33,7 @@ Models = Float[Tensor, "h 8"]
 @dataclass(frozen=True)
 class TwoViews:
     """Matches of two cameras: ideal image coordinates plane1, plane2, cam_from_level from the measured verticals, focal
-    in pixels, and the height of the first camera.
+    in pixels, of both or of each, and the height of the first camera.
 
     gravity_sigma: expected error of a vertical in radians; 0 takes them for exact, infinity leaves the tilts free.
     pixel_sigma weighs pixels against it. known_heading: in radians, where it was measured too.
@@ -42,7 +42,7 @@ class TwoViews:
     plane1: Float[Tensor, "n 2"]
     plane2: Float[Tensor, "n 2"]
     cam_from_level: Float[Tensor, "2 3 3"]
-    focal: Float[Tensor, " 2"]
+    focal: Float[Tensor, "*view 2"]
     index_ratio: Float[Tensor, ""]
     height: float = 1.0
     gravity_sigma: float = 0.0
@@ -65,7 +65,7 @@ class TwoViews:
 
     def errors(self, models: Models) -> EpipolarError:
         """Epipolar errors in pixels, and the depths at which the rays meet."""
-        return epipolar_error(*self.views(models), self._focal, self.index_ratio)
+        return epipolar_error(*self.views(models), self.index_ratio)
 
     def squared_errors(self, models: Models) -> Float[Tensor, "h n"]:
         """Squared epipolar errors in pixels; inf where the rays do not meet below the water."""
@@ -102,6 +102,7 @@ class TwoViews:
                 tuple(tuple(entry[:n, k] for entry in row) for row in rows),  # type: ignore[arg-type]
                 tuple(entry[:n, k] for entry in components),  # type: ignore[arg-type]
                 self._planes[k],
+                self._focal[k],
             )
             for k, n in ((0, count), (1, len(models)))
         )
@@ -115,7 +116,7 @@ class TwoViews:
 
     def linearize(self, models: Models, max_error: float, active: Bool[Tensor, "h n"]) -> Quadratic:
         """The cost in squared pixels, half a sum, and its quadratic model in the eight unknowns."""
-        by = epipolar_jacobian(*self.views(models), self._focal, self.index_ratio)
+        by = epipolar_jacobian(*self.views(models), self.index_ratio)
         error, limit = by.error, max_error * max_error
         inside = active & (error.abs() < max_error)
         weight = inside.to(error.dtype)
@@ -146,8 +147,8 @@ class TwoViews:
         return [(x, y) for x, y in (triples.components(plane) for plane in (self.plane1, self.plane2))]
 
     @cached_property
-    def _focal(self) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-        return self.focal[0], self.focal[1]
+    def _focal(self) -> list[Pair]:
+        return [(fx, fy) for fx, fy in self.focal.expand(2, 2)]
 
 
 def _share_first(models: Models) -> bool:

@@ -69,23 +69,31 @@ class Capture:
             "has_heading": torch.zeros_like(self.has_height),
             "camera": torch.zeros(len(self), dtype=torch.long),
             "interface": torch.zeros(len(self), dtype=torch.long),
-            "height_sigma": torch.where(self.has_height, RELATIVE_HEIGHT_SIGMA * self.height, torch.inf),
+            "height_sigma": torch.full_like(self.height, torch.inf),
             "position": torch.zeros_like(unknown),
             "position_sigma": unknown,
         }
         for name, values in by_default.items():
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, values)
+        unsaid = self.has_height & self.height_sigma.isinf()
+        sigma = torch.where(unsaid, RELATIVE_HEIGHT_SIGMA * self.height, self.height_sigma)
+        object.__setattr__(self, "height_sigma", sigma)
 
     def __len__(self) -> int:
         return len(self.names)
 
-    @property
-    def intrinsics(self) -> Intrinsics:
-        """Those of the one camera. Raises CaptureError where there are several."""
-        if len(self.cameras) != 1:
-            raise CaptureError(f"{self.folder} has {len(self.cameras)} cameras, but only one can be used here")
-        return self.cameras[0]
+    def intrinsics_of(self, images: int | list[int]) -> Intrinsics:
+        """Those of an image, or of several as a batch (not batched where all images have one camera)."""
+        return self.cameras.of_views(self.camera[images])
+
+    def planes(self, images: Sequence[int], pixels: Sequence[Float[Tensor, "_ 2"]]) -> list[Float[Tensor, "_ 2"]]:
+        """Ideal image coordinates of pixels in each of some images."""
+        return [self.intrinsics_of(i).plane_from_pixels(p) for i, p in zip(images, pixels, strict=True)]
+
+    def typical_focal(self, *images: int) -> float:
+        """The mean focal length of images, pixels."""
+        return float(self.cameras.focal[self.camera[list(images)]].mean(dim=-1).mean())
 
     @property
     def index_ratio(self) -> float:

@@ -27,7 +27,9 @@ class Cameras:
     distortion: the coefficients that a camera has, then zeros; models: "opencv" or "fisheye". Expected errors of what
     is stated, as standard deviations, zero where it counts as exact: focal_sigma, of both focal lengths by the same
     factor, relative; principal_point_sigma, of each coordinate, pixels; distortion_sigma, of each coefficient. By
-    default all models are "opencv", all is exact, and the names are numbers.
+    default all models are "opencv", all is exact, and the names are numbers. read_as: what the models are called in the
+    file that cameras were read from, if anybody may ask. stated: what the errors are expected of,
+    where the numbers have been changed since; None: of these.
     """
 
     sizes: tuple[tuple[int, int], ...]
@@ -39,6 +41,8 @@ class Cameras:
     focal_sigma: Float[Tensor, " f"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
     principal_point_sigma: Float[Tensor, " f"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
     distortion_sigma: Float[Tensor, " f"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
+    read_as: tuple[str, ...] = ()
+    stated: "Cameras | None" = None
 
     def __post_init__(self) -> None:
         count = len(self.sizes)
@@ -83,15 +87,25 @@ class Cameras:
         """The intrinsics of views with the cameras `camera` (*B) as a batch (*B); not batched where there is one camera
         for all. With as many coefficients of distortion as any camera needs: none, five or eight, and `coefficients` at
         least."""
-        row = 0 if len(self) == 1 else camera
+        row, sizes = 0 if len(self) == 1 else camera, None
         width, height = (max(numbers) for numbers in zip(*self.sizes, strict=True))
-        same = len(set(self.sizes)) == 1
-        sizes = None if same else self.focal.new_tensor(self.sizes)[row]
+        if len(set(self.sizes)) > 1:
+            sizes = self.focal.new_tensor(self.sizes)[row]
+            if sizes.dim() == 1:  # a single view, which is no batch
+                (width, height), sizes = self.sizes[int(row)], None
         fisheye = self.fisheye[row] if FISHEYE in self.models else None
         distortion = self.distortion[row][..., : max(coefficients, self.coefficients)]
         return Intrinsics(
             width, height, self.focal[row], self.principal_point[row], distortion, fisheye, sizes, check=False
         )
+
+    def label(self, camera: int) -> str:
+        """Of which camera something is, where there are several."""
+        return f" of {self.names[camera]}" if len(self) > 1 else ""
+
+    def sigma_of(self, name: str) -> Float[Tensor, " g"]:
+        """Expected errors of "focal", "principal_point", or "distortion"."""
+        return getattr(self, f"{name}_sigma")
 
     @property
     def are_uncertain(self) -> bool:
@@ -120,9 +134,14 @@ class Cameras:
     ) -> "Cameras":
         """With other numbers, of which so many `coefficients` of distortion, or as many as before, may differ from
         zero: nothing has to wait for a look at them."""
-        moved = replace(self, focal=focal, principal_point=principal_point, distortion=distortion)
+        numbers = {"focal": focal, "principal_point": principal_point, "distortion": distortion}
+        moved = replace(self, **numbers, stated=self.stated or self)
         moved.__dict__["coefficients"] = max(coefficients, self.coefficients)
         return moved
+
+    def exact(self) -> "Cameras":
+        """The same without doubt: nothing of them varies in an adjustment by itself."""
+        return replace(self, stated=None, **{name: torch.zeros_like(getattr(self, name)) for name in SIGMAS})
 
     def detached(self) -> "Cameras":
         """The same without a graph."""

@@ -15,7 +15,7 @@ from torchrefrac.bundle import (
     determinations,
     estimate_pixel_sigma,
     uncertainty,
-    wished_change,
+    wished_changes,
 )
 from torchrefrac.bundle import adjust as adjust_bundle
 from torchrefrac.bundle.layout import Layout
@@ -155,7 +155,7 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
     except SingularError:
         return Assessment(fixed=fixed)
     centers = known.pose[:, 3:, 3:]
-    wished = ((name, wished_change(problem, scene, name, known.pixel_sigma)) for name in GIVEN)
+    wished = [wished_changes(problem, scene, name, known.pixel_sigma).items() for name in GIVEN]
     return Assessment(
         pixel_sigma=known.pixel_sigma,
         point_covariance=known.points,
@@ -163,9 +163,10 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         center_sigma=mean_deviation(centers),
         center_covariance=centers,
         index_ratio_sigma=float(known.index_ratio) if "index_ratio" in problem.layout.water else None,
+        intrinsics_sigma=known.intrinsics,
         determined=tuple(d.sentence for d in found),
         fixed=fixed,
-        wished={name: (change[0], known.growth * change[1]) for name, change in wished if change} if found else {},
+        wished={name: (by, known.growth * sigma) for each in wished for name, (by, sigma) in each} if found else {},
         surface_slope=0.0 if known.common is None else known.common.slope,
         surface_moves=known.common is not None and known.common.moving_slope > known.common.still_slope,
         common_tilt=None if known.common is None else known.common.tilt(len(scene.views)),

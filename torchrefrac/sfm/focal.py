@@ -93,9 +93,11 @@ class _Pair:
     def of(
         cls, scene: Scene, stated: Capture, pair: PairMatches, features: Sequence[Features], options: SfmOptions
     ) -> "_Pair":
-        images, focal = [pair.first, pair.second], stated.intrinsics.focal
+        images = [pair.first, pair.second]
         plane1, plane2 = image_planes(stated, features, pair)
-        rows = thin(fundamental_consensus(plane1 * focal, plane2 * focal, options.ransac.max_error), MATCHES)
+        focal = stated.intrinsics_of(images).focal
+        one, two = focal.expand(2, 2)
+        rows = thin(fundamental_consensus(plane1 * one, plane2 * two, options.ransac.max_error), MATCHES)
         views = TwoViews(
             plane1[rows],
             plane2[rows],

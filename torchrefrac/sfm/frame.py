@@ -51,9 +51,11 @@ def transformed(scene: Scene, change: Similarity) -> Scene:
 
 
 def _level(scene: Scene, capture: Capture, registered: Int[Tensor, " r"]) -> Float[Tensor, "3 3"]:
-    """Rotation of the world that takes the mean measured gravity to (0, 0, -1): the shortest, after half a turn about x
-    where the world stands on its head.
+    """Rotation of the world that takes the mean measured gravity (the mean optical axis, where none of the registered
+    views has any) to (0, 0, -1): the shortest, after half a turn about x where the world stands on its head.
     """
+    known = registered[capture.down_sigma[registered].isfinite()]
+    registered = known if len(known) else registered
     rotation = scene.views.rotation[registered]
     down = (rotation.mT @ capture.down_in_cam[registered][..., None])[..., 0].mean(dim=0)
     flip = down.new_tensor((1.0, -1.0, -1.0))

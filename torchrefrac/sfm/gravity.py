@@ -144,7 +144,6 @@ def suspect_images(
     """Images most of whose pairs have matches that agree on a pinhole pose, but not on one through the water."""
     agreeing = {(pair.pair.first, pair.pair.second): len(pair.pair) for pair in verified}
     pairs, doubtful = Counter[int](), Counter[int]()
-    threshold = options.ransac.max_error / float(capture.intrinsics.focal.mean())
     for pair in matches:
         if len(pair) < options.min_pair_inliers:
             continue
@@ -152,6 +151,7 @@ def suspect_images(
         count = agreeing.get((pair.first, pair.second), 0)
         if count >= FEW_AGREE * len(pair):
             continue
+        threshold = options.ransac.max_error / capture.typical_focal(pair.first, pair.second)
         found = pinhole_rotation(*image_planes(capture, features, pair), threshold)
         if found is not None and count < FEW_AGREE * int(found[1].sum()):
             doubtful.update((pair.first, pair.second))

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchrefrac.bundle import BundleProblem, adjust
 from torchrefrac.bundle.layout import Layout
-from torchrefrac.bundle.score import Given, column_of
+from torchrefrac.bundle.score import Given, columns_of
 from torchrefrac.optim import Covariance, SingularError
 from torchrefrac.scene import Assessment, Interfaces, Part, Scene
 from torchrefrac.sfm.rules import Rules
@@ -55,7 +55,8 @@ def with_levels(assessment: Assessment, scene: Scene, rules: Rules, fixed: Mappi
     if bool(difference.abs() <= SURE * deviation):
         return assessment
     given: tuple[Given, ...] = ("index_ratio", "focal")
-    asked = {name: column_of(layout, name) for name in given if name in assessment.wished}
+    columns_by_name = (columns_of(each, layout, name) for name in given)
+    asked = {key: column for of in columns_by_name for key, column in of.items() if key in assessment.wished}
     variance = covariance.diagonal().clamp(min=0.0)
     wished = {name: (float(step[column]), float(variance[column].sqrt())) for name, column in asked.items()}
     difference = _adjusted_difference(part, others, rules)

@@ -17,7 +17,7 @@ from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry import Rigid, level_rotation
 from torchrefrac.numerics import thin
 from torchrefrac.optim import LevenbergMarquardtOptions
-from torchrefrac.scene import Capture, Interfaces, Observations, Scene, reprojection_errors
+from torchrefrac.scene import Cameras, Capture, Interfaces, Observations, Scene, reprojection_errors
 from torchrefrac.sfm.pose import PairPose, Pixels, Pose, cameras_of, judge_pair, meet
 from torchrefrac.sfm.rules import SfmOptions
 
@@ -44,27 +44,32 @@ class PinholeInitializer:
         if len(pixels[0]) < MIN_ESSENTIAL:
             return None
         self._seed(generator)
-        intrinsics, options = self.capture.intrinsics, self.options.ransac
-        plane1, plane2 = (intrinsics.plane_from_pixels(p) for p in pixels)
-        threshold = options.max_error / float(intrinsics.focal.mean())
+        capture, options = self.capture, self.options.ransac
+        plane1, plane2 = capture.planes(images, pixels)
+        threshold = options.max_error / capture.typical_focal(*images)
         found = essential_pose(plane1, plane2, cv2.RANSAC, options.confidence, threshold)
         if found is None:
             return None
         relative, translation, inliers = found
-        cam1_from_world = level_rotation(self.capture.down_in_cam[images[0]])
+        cam1_from_world = level_rotation(capture.down_in_cam[images[0]])
         first = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
         baseline = -(cam1_from_world.T @ relative.T @ translation)
         rotation = torch.stack((cam1_from_world, relative @ cam1_from_world))
         pose = Rigid(rotation, torch.stack((first, first + baseline)))
-        return refine_pair(pose, pixels, inliers, intrinsics, self.options.bundle, options.max_error)
+        cameras, camera = capture.cameras, capture.camera[list(images)]
+        return refine_pair(pose, pixels, inliers, cameras, camera, self.options.bundle, options.max_error)
 
     def absolute(
-        self, image: int, pixels: Float[Tensor, "k 2"], points: Float[Tensor, "k 3"], generator: torch.Generator
+        self,
+        image: int,
+        intrinsics: Intrinsics,
+        pixels: Float[Tensor, "k 2"],
+        points: Float[Tensor, "k 3"],
+        generator: torch.Generator,
     ) -> Pose | None:
         if len(pixels) < MIN_PNP:
             return None
         self._seed(generator)
-        intrinsics = self.capture.intrinsics
         plane = intrinsics.plane_from_pixels(pixels).numpy()
         result: Any = cv2.solvePnPRansac(
             points.numpy(),
@@ -123,16 +128,17 @@ def refine_pair(
     pose: Rigid,
     pixels: Pixels,
     inliers: Bool[Tensor, " k"],
-    intrinsics: Intrinsics,
+    cameras: Cameras,
+    camera: Int[Tensor, " 2"],
     options: BundleOptions,
     max_error: float,
 ) -> PairPose:
-    """Two-view bundle adjustment without refraction from the rough pose of two cameras.
+    """Two-view bundle adjustment without refraction from the rough pose of two views, which have the cameras `camera`.
 
     `inliers` start it; afterwards a match is an inlier when its point reprojects within max_error in both images.
     The adjustment takes MAX_MATCHES of them, evenly: more do not change the verdict on the rest.
     """
-    both, air = torch.stack(pixels, dim=1), Interfaces.level(1.0)
+    both, air, intrinsics = torch.stack(pixels, dim=1), Interfaces.level(1.0), cameras.of_views(camera)
     options = replace(options, refine=(), solver=PAIR_SOLVER)
     found = PairPose(pose.rotation, pose.center, inliers, 0.0)
     for _ in range(ROUNDS):
@@ -143,7 +149,8 @@ def refine_pair(
             point=torch.arange(len(rows)).repeat_interleave(2),
             pixels=both[rows].flatten(0, 1),
         )
-        pose = adjust(Scene.create(pose, intrinsics, air, points, seen), options, check=False).scene.views.pose
+        scene = Scene.create(pose, cameras, air, points, seen, camera=camera)
+        pose = adjust(scene, options, check=False).scene.views.pose
         found = judge_pair(pose, pixels, intrinsics, air.index_ratio[0], max_error)
         inliers = found.inliers
         if int(inliers.sum()) < MIN_PAIR_INLIERS:

@@ -54,9 +54,14 @@ class PoseInitializer(Protocol):
         ...
 
     def absolute(
-        self, image: int, pixels: Float[Tensor, "k 2"], points: Float[Tensor, "k 3"], generator: torch.Generator
+        self,
+        image: int,
+        intrinsics: Intrinsics,
+        pixels: Float[Tensor, "k 2"],
+        points: Float[Tensor, "k 3"],
+        generator: torch.Generator,
     ) -> Pose | None:
-        """Pose of an image that sees known points at these pixels."""
+        """Pose of an image, whose camera has these intrinsics, that sees known points at these pixels."""
         ...
 
 

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry import Rigid, level_rotation
 from torchrefrac.ransac import AbsolutePoseEstimator, RelativePoseEstimator, ransac
 from torchrefrac.refinement import OneView, TwoViews
@@ -23,9 +24,9 @@ class RefractiveInitializer:
     options: SfmOptions
 
     def relative(self, images: tuple[int, int], pixels: Pixels, generator: torch.Generator) -> PairPose | None:
-        intrinsics = self.capture.intrinsics
+        intrinsics = self.capture.intrinsics_of(list(images))
         views = TwoViews(
-            *(intrinsics.plane_from_pixels(p) for p in pixels),
+            *self.capture.planes(images, pixels),
             cam_from_level=level_rotation(self.capture.down_in_cam[list(images)]),
             focal=intrinsics.focal,
             index_ratio=self._ratio,
@@ -45,9 +46,13 @@ class RefractiveInitializer:
         return judge_pair(Rigid(rotation, center), pixels, intrinsics, self._ratio, self.options.ransac.max_error, dry)
 
     def absolute(
-        self, image: int, pixels: Float[Tensor, "k 2"], points: Float[Tensor, "k 3"], generator: torch.Generator
+        self,
+        image: int,
+        intrinsics: Intrinsics,
+        pixels: Float[Tensor, "k 2"],
+        points: Float[Tensor, "k 3"],
+        generator: torch.Generator,
     ) -> Pose | None:
-        intrinsics = self.capture.intrinsics
         view = OneView(
             intrinsics.plane_from_pixels(pixels),
             points,

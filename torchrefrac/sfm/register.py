@@ -62,7 +62,8 @@ def register(scene: Scene, view: int, rules: Rules) -> tuple[Scene, Outcome]:
     numbers = {"seen": len(rows), "needed": rules.min_registration_inliers, "agreeing": 0}
     if len(rows) < rules.min_registration_inliers:
         return scene, Outcome(Registration.FEW_POINTS, numbers)
-    pose = rules.poses.absolute(view, seen.pixels[rows], scene.points[seen.point[rows]], rules.generator)
+    intrinsics = scene.cameras.of_views(scene.views.camera[view])
+    pose = rules.poses.absolute(view, intrinsics, seen.pixels[rows], scene.points[seen.point[rows]], rules.generator)
     if pose is not None:
         numbers["agreeing"] = int(pose.inliers.sum())
     if pose is None or numbers["agreeing"] < rules.min_registration_inliers:

@@ -68,12 +68,13 @@ class UnknownVertical:
 def find_verticals(
     plane1: Float[Tensor, "n 2"],
     plane2: Float[Tensor, "n 2"],
-    focal: Float[Tensor, " 2"],
+    focal: Float[Tensor, "*view 2"],
     index_ratio: Float[Tensor, ""] | float,
     max_error: float = 4.0,
     min_inliers: int = 20,
 ) -> UnknownVertical:
-    """Pose and verticals of two cameras from matches: ideal image coordinates plane1, plane2, focal in pixels.
+    """Pose and verticals of two cameras from matches: ideal image coordinates plane1, plane2, focal in pixels, of both
+    or of each.
 
     A match is an inlier within max_error pixels. Deterministic. "no_consensus": fewer agree than min_inliers and
     CHANCE_FACTOR times as many as when the matches are shuffled; "degenerate": sigma above MAX_SIGMA_DEG.

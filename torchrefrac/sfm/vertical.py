@@ -27,7 +27,7 @@ PAIRS_PER_IMAGE = 3
 LEAST_SIGMA, LEAST_DOWN_SIGMA = math.radians(0.2), math.radians(0.5)
 """Of a vertical from one pair, for what the noise does not tell; and of the capture, because the adjustment will use
 the same matches again: a tighter prior counts them twice."""
-PINHOLE_SIGMA = math.radians(5.0)
+PINHOLE_SIGMA, VAGUE_SIGMA = math.radians(5.0), math.radians(30.0)
 NOISY = 4.0
 FAR = 9.0
 """Squared distance in standard deviations at which two verticals of one image contradict each other."""
@@ -46,11 +46,14 @@ def level_capture(
     recorder: Recorder,
 ) -> Capture:
     """The capture with estimated verticals. down_sigma, the same for all images: the root mean square over the images,
-    the scatter between the pairs of one image, or LEAST_DOWN_SIGMA, whichever is largest.
+    the scatter between the pairs of one image, or LEAST_DOWN_SIGMA, whichever is largest. Where gravity of some images
+    is known, see `completed`.
 
     Raises UnknownVerticalError when no pair shows a vertical.
     """
     usable = sorted((pair for pair in pairs if len(pair) >= options.min_pair_inliers), key=len, reverse=True)
+    if capture.has_gravity:
+        return completed(capture, usable, features, index_ratio, options, recorder)
     of, verticals, sigmas, detail = verticals_of_pairs(
         capture, best_pairs(usable), features, index_ratio, options, recorder
     )
@@ -70,6 +73,27 @@ def level_capture(
     overall = torch.maximum(_rms(sigma[known]), _rms(scatter[of.unique()]))
     sigma = torch.full_like(sigma, max(float(overall), LEAST_DOWN_SIGMA))
     return replace(capture, down_in_cam=down, down_sigma=sigma, has_gravity=True)
+
+
+def completed(
+    capture: Capture,
+    usable: Sequence[PairMatches],
+    features: Sequence[Features],
+    index_ratio: float,
+    options: SfmOptions,
+    recorder: Recorder,
+) -> Capture:
+    """The capture with a vertical for each image that has none: from the best of its pairs, in descending order, that
+    determine theirs, or else from an image beside it, good to some degrees; VAGUE_SIGMA where there is neither."""
+    down, sigma = capture.down_in_cam.clone(), capture.down_sigma.clone()
+    unknown = set(sigma.isinf().nonzero()[:, 0].tolist())
+    concerned = best_pairs([pair for pair in usable if unknown & {pair.first, pair.second}])
+    of, verticals, sigmas, _ = verticals_of_pairs(capture, concerned, features, index_ratio, options, recorder)
+    for image in unknown & set(of.tolist()):
+        down[image], found, _ = mean_vertical(verticals[of == image], sigmas[of == image])
+        sigma[image] = found.clamp(min=LEAST_DOWN_SIGMA)
+    carry_over(capture, usable, features, options, down, sigma)
+    return replace(capture, down_in_cam=down, down_sigma=sigma.clamp(max=VAGUE_SIGMA))
 
 
 def best_pairs(pairs: Sequence[PairMatches]) -> list[PairMatches]:
@@ -102,7 +126,8 @@ def verticals_of_pairs(
     for step, pair in enumerate(recorder.track(pairs, len(pairs), "levelling", "pair")):
         limits = options.ransac.max_error, options.min_pair_inliers
         planes = image_planes(capture, features, pair)
-        found = find_verticals(*planes, capture.intrinsics.focal, index_ratio, *limits)
+        focal = capture.intrinsics_of([pair.first, pair.second]).focal
+        found = find_verticals(*planes, focal, index_ratio, *limits)
         recorder.scalar("levelling/inliers", int(found.inliers.sum()), step)
         if found.status == "success":
             solved.append((pair, found))
@@ -144,10 +169,10 @@ def carry_over(
 ) -> None:
     """Fill in, from image to image, the verticals whose sigma is infinite, by the first pairs that can."""
     left = list(pairs)
-    threshold = options.ransac.max_error / float(capture.intrinsics.focal.mean())
     while bridges := [pair for pair in left if sigma[[pair.first, pair.second]].isinf().sum() == 1]:
         pair = bridges[0]
         left.remove(pair)
+        threshold = options.ransac.max_error / capture.typical_focal(pair.first, pair.second)
         found = pinhole_rotation(*image_planes(capture, features, pair), threshold)
         if found is None or int(found[1].sum()) < options.min_pair_inliers:
             continue
@@ -162,8 +187,9 @@ def image_planes(
     capture: Capture, features: Sequence[Features], pair: PairMatches
 ) -> tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]]:
     """Ideal image coordinates of the matches in both images."""
-    one, two = (features[i].pixels[pair.matches[:, k]] for k, i in enumerate((pair.first, pair.second)))
-    return capture.intrinsics.plane_from_pixels(one), capture.intrinsics.plane_from_pixels(two)
+    images = pair.first, pair.second
+    one, two = capture.planes(images, [features[i].pixels[pair.matches[:, k]] for k, i in enumerate(images)])
+    return one, two
 
 
 def angle_between(one: Float[Tensor, "*#batch 3"], two: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch"]:

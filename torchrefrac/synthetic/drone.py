@@ -1,6 +1,7 @@
 """What a drone would write into the photographs of a made scene: where in the world it lies is made up."""
 
 import math
+from collections.abc import Sequence
 from datetime import datetime, timedelta
 
 import torch
@@ -21,8 +22,8 @@ TAKE_OFF = 1.5  # m; of the place of the take-off above the water
 START, SECONDS = datetime(2024, 5, 17, 11, 0, 0), 2  # time of the first photograph, and from each to the next
 
 
-def drone_tags(stage: Stage, intrinsics: Intrinsics, options: SyntheticOptions) -> list[DroneTags]:
-    """Of each camera, with errors of satellites and gimbal.
+def drone_tags(stage: Stage, intrinsics: Sequence[Intrinsics], options: SyntheticOptions) -> list[DroneTags]:
+    """Of each photograph, with errors of satellites and gimbal. intrinsics: of the cameras that take them in turn.
 
     Raises StageError where lengths are not in m, or pyproj is missing.
     """
@@ -40,7 +41,6 @@ def drone_tags(stage: Stage, intrinsics: Intrinsics, options: SyntheticOptions) 
         latitude, longitude, position[:, 2].tolist(), (yaw - torch.from_numpy(north)).tolist(), pitch.tolist(),
         roll.tolist(), strict=True,
     )  # fmt: skip
-    center = intrinsics.principal_point.tolist()
     return [
         DroneTags(
             latitude=place[0],
@@ -51,9 +51,8 @@ def drone_tags(stage: Stage, intrinsics: Intrinsics, options: SyntheticOptions) 
             yaw=(turn + 180.0) % 360.0 - 180.0,
             pitch=tilt,
             roll=(side + 180.0) % 360.0 - 180.0,
-            focal=float(intrinsics.focal[0]),
-            principal_point=(center[0], center[1]),
-            distortion=tuple(options.camera.distortion),
+            camera=i % len(intrinsics),
+            intrinsics=intrinsics[i % len(intrinsics)],
             time=(START + timedelta(seconds=SECONDS * i)).strftime("%Y:%m:%d %H:%M:%S"),
         )
         for i, (*place, altitude, turn, tilt, side) in enumerate(rows)
@@ -68,7 +67,7 @@ def _gimbal(
     tilt = so3_exp(torch.tensor((*options.plane_tilt_deg, 0.0), dtype=torch.float64).deg2rad())
     shaken = torch.randn(len(rotation), 3, generator=seeded(options.seed, "gimbal"), dtype=torch.float64)
     yaw, pitch, roll = angles_of(so3_exp(math.radians(options.drone.gimbal_sigma_deg) * shaken) @ rotation @ tilt)
-    past = roll.abs() > 0.5 * math.pi  # straight down, which this gimbal says by a pitch below -90 degrees
+    past = roll.abs() > 0.75 * math.pi  # straight down, which this gimbal says by a pitch below -90 degrees
     return (
         torch.where(past, yaw + math.pi, yaw),
         torch.where(past, -math.pi - pitch, pitch),

@@ -59,6 +59,17 @@ class CameraOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class HeldCameraOptions(CameraOptions):
+    """A camera that is turned about its optical axis by so many quarter turns, which turn what it sees clockwise."""
+
+    quarter_turns: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_between(self.quarter_turns, "quarter_turns", -3, 3)
+
+
+@dataclass(frozen=True, kw_only=True)
 class SensorOptions:
     """samples x samples rays a pixel; blur: standard deviation of the optics' spot (pixels), noise: of a grey value."""
 
@@ -111,7 +122,8 @@ class DroneOptions:
 class SyntheticOptions:
     """How any made scene is photographed.
 
-    index_ratio: true n_water / n_air. plane_tilt_deg: how far true gravity is from the perpendicular of the water
+    index_ratio: true n_water / n_air. cameras: those that take the photographs in turn; none: `camera` takes all, for
+    which their path is made in any case. plane_tilt_deg: how far true gravity is from the perpendicular of the water
     surface, about world x and y: as in a tank that is filled to a tilted lid, or a wall; the frame stays that of the
     surface. reflection: grey value of the sky that the surface mirrors (0: it mirrors nothing). metadata: what the
     photographs say of themselves, nothing or what `drone` would. seed decides textures, waves, noise and all errors.
@@ -122,6 +134,7 @@ class SyntheticOptions:
     plane_tilt_deg: tuple[float, ...] = (0.0, 0.0)
     reflection: float = 0.0
     camera: CameraOptions = field(default_factory=CameraOptions)
+    cameras: tuple[HeldCameraOptions, ...] = ()
     sensor: SensorOptions = field(default_factory=SensorOptions)
     inertial: InertialOptions = field(default_factory=InertialOptions)
     waves: WaveOptions = field(default_factory=WaveOptions)
@@ -136,10 +149,12 @@ class SyntheticOptions:
 
     def fingerprint(self) -> dict[str, Any]:
         """What decides the photographs, as plain values: all options, and the kind of scene."""
-        values = {"scene": type(self).__name__, **asdict(self)}
-        if self.metadata == "none":  # folders from before there was any are the same
-            del values["metadata"], values["drone"]
-        return values
+        options = asdict(self)
+        if not self.cameras:
+            del options["cameras"]
+        if self.metadata == "none":
+            del options["metadata"], options["drone"]
+        return {"scene": type(self).__name__, **options}
 
     def __post_init__(self) -> None:
         require_between(self.index_ratio, "index_ratio", 1.0, MAX_INDEX_RATIO, "(water: 1.333)")

@@ -90,12 +90,12 @@ def test_without_a_yaw_gravity_is_known_and_the_heading_is_not(tmp_path):
     assert found.heading_deg is None
 
 
-@pytest.mark.parametrize("roll", [90.5, 180.0, -180.0])
+@pytest.mark.parametrize("roll", [150.0, 180.0, -180.0])
 def test_a_gimbal_that_went_past_straight_down_is_told(tmp_path, roll):
     path = write_photograph(tmp_path / "a.jpg", DJI, gimbal("drone_dji", 0.0, -85.0, roll))
 
     assert read_photograph(path).is_past_nadir
-    assert not read_photograph(write_photograph(path, DJI, gimbal("drone_dji", 0.0, -85.0, 0.0))).is_past_nadir
+    assert not read_photograph(write_photograph(path, DJI, gimbal("drone_dji", 0.0, -85.0, 90.0))).is_past_nadir
 
 
 IPHONE = {"Make": "Apple", "Model": "iPhone 12 Pro", "LensModel": "iPhone 12 Pro back triple camera"}

@@ -14,7 +14,7 @@ from torchrefrac.files.metadata.position import Fix, fix_of
 from torchrefrac.files.metadata.xmp import Xmp
 from torchrefrac.files.photographs import check_photograph
 
-UPSIDE_DOWN = 90.0  # degrees of roll from which on a gimbal has gone past straight down
+UPSIDE_DOWN = 135.0  # degrees of roll from which on a gimbal has gone past straight down; 90: a camera held upright
 
 
 @dataclass(frozen=True)
