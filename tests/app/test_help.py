@@ -12,7 +12,7 @@ from torchrefrac.cli.conf import CONF, first_comment, read_options
 
 FILES = sorted(CONF.rglob("*.yaml"))
 NAMES = [path.relative_to(CONF).as_posix() for path in FILES]
-ROOTS = {"config.yaml": (), "adjust.yaml": ("adjust",), "densify.yaml": ("densify",)}
+ROOTS = {"config.yaml": (), **{f"{name}.yaml": (name,) for name in ("adjust", "calibrate", "densify", "import")}}
 
 
 def _leaves(values, name=""):

@@ -12,9 +12,12 @@ from torchrefrac.cli.conf import CONF
 QUIET = ("-q", "--quiet")
 MULTIRUN = ("-m", "--multirun")
 PATHS = (
-    "alignment", "cache", "capture", "out", "run", "scene.file", "scene.path", "survey", "truth", "water.path",
+    "alignment", "cache", "camera", "capture", "out", "photos", "run", "scene.file", "scene.path", "survey", "table",
+    "truth", "water.path",
 )  # fmt: skip
 """The options that are names of files and folders."""
+SEVERAL = ("photos",)
+"""Of these the ones that may be lists of them."""
 
 typed: list[str] = []
 """What the user typed after the name of the program; empty in a process that a launcher began."""
@@ -42,6 +45,9 @@ def _with_path(argument: str, is_sweep: bool) -> str:
     name, _, value = argument.partition("=")
     if name.lstrip("+") not in PATHS or not value:
         return argument
+    if name in SEVERAL and value.startswith("[") and value.endswith("]"):
+        parts = [_path_in_words_of_hydra(part.strip(), False) for part in value[1:-1].split(",")]
+        return f"{name}=[{','.join(parts)}]"
     return f"{name}={_path_in_words_of_hydra(value, is_sweep)}"
 
 

@@ -119,7 +119,7 @@ def _adjust(options: AdjustOptions, config: DictConfig, place: Path) -> None:
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="densify")
 def densify(config: DictConfig) -> None:
     """`torchrefrac densify`."""
-    with _may_fail(), memory_lack_explained():
+    with may_fail(), memory_lack_explained():
         options = densify_options(config)
         sparse = open_run(Path(options.run), options.capture)
         before = record_text(sparse.folder)
@@ -146,7 +146,7 @@ def _densify(sparse: SparseRun, options: DensifyOptions, config: DictConfig) -> 
 def _report(folder: Path, wanted: bool) -> None:
     """Write report.html where it is wanted."""
     if wanted:
-        with _may_fail(folder):
+        with may_fail(folder):
             write_report(folder)
 
 
@@ -162,7 +162,7 @@ def _recorders(folder: Path, quiet: bool, append: bool = False) -> AbstractConte
 
 
 @contextmanager
-def _may_fail(folder: Path | None = None) -> Generator[None, None, None]:
+def may_fail(folder: Path | None = None) -> Generator[None, None, None]:
     """Errors for the user are printed, and make the exit status 1."""
     try:
         yield

@@ -6,6 +6,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from torchrefrac.config import AdjustOptions, DensifyOptions, Options, OutputOptions, RunOptions, build, build_scene
+from torchrefrac.config.importing import CalibrateOptions, ImportOptions
 
 
 def run_options(config: DictConfig) -> RunOptions:
@@ -24,6 +25,16 @@ def adjust_options(config: DictConfig) -> AdjustOptions:
 def densify_options(config: DictConfig) -> DensifyOptions:
     """The typed options of a composed configuration of `torchrefrac densify`."""
     return build(DensifyOptions, _plain(config))
+
+
+def import_options(config: DictConfig) -> ImportOptions:
+    """The typed options of a composed configuration of `torchrefrac import`."""
+    return build(ImportOptions, _plain(config))
+
+
+def calibrate_options(config: DictConfig) -> CalibrateOptions:
+    """The typed options of a composed configuration of `torchrefrac calibrate`."""
+    return build(CalibrateOptions, _plain(config))
 
 
 def _plain(config: DictConfig) -> Any:

@@ -12,12 +12,15 @@ from hydra_plugins.torchrefrac_sweeper.messages import COMPOSITION_ERRORS
 from torchrefrac.cli.arguments import for_hydra, typed
 from torchrefrac.cli.commands import adjust, densify, reconstruct
 from torchrefrac.cli.failures import failed, tell
+from torchrefrac.cli.importing import calibrate, import_
 from torchrefrac.config import OptionError
 from torchrefrac.sweeps.folder import SweepError
 
 INTERRUPTED = 130
 TOO_LONG = "integer string conversion"  # what Python says of whole numbers of thousands of digits
-OTHERS: dict[str, Callable[[], None]] = {"adjust": adjust, "densify": densify}
+OTHERS: dict[str, Callable[[], None]] = {
+    "adjust": adjust, "calibrate": calibrate, "densify": densify, "import": import_,
+}  # fmt: skip
 
 
 def main() -> None:

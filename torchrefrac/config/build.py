@@ -68,11 +68,13 @@ def _convert(hint: Any, value: Any, path: str) -> Any:
 
 
 def _convert_union(choices: tuple[Any, ...], value: Any, path: str) -> Any:
-    """One kind of value, or null or one of some words where these are among the choices."""
+    """One kind of value, or a list of them, or null or one of some words where these are among the choices."""
     words = [word for choice in choices if get_origin(choice) is Literal for word in get_args(choice)]
     if value in words or (value is None and type(None) in choices):
         return value
-    kind = next(choice for choice in choices if choice is not type(None) and get_origin(choice) is not Literal)
+    kinds = [choice for choice in choices if choice is not type(None) and get_origin(choice) is not Literal]
+    lists = [kind for kind in kinds if get_origin(kind) is tuple and isinstance(value, list | tuple)]
+    kind = (lists or kinds)[0]
     try:
         return _convert(kind, value, path)
     except OptionError as error:

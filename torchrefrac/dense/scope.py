@@ -44,7 +44,10 @@ class Scope(Neighbourhood):
     def is_allowed(self, image: Int[Tensor, "*batch"], pixels: Float[Tensor, "*batch 2"]) -> Bool[Tensor, "*batch"]:
         """Whether pixels of local images are inside and not masked."""
         intrinsics = self.cameras.intrinsics
-        inside = intrinsics.contains(pixels)
+        if (sizes := intrinsics.sizes) is None:
+            inside = intrinsics.contains(pixels)
+        else:
+            inside = ((pixels >= 0.0) & (pixels <= sizes[image])).all(dim=-1)
         if self.allowed is None:
             return inside
         column = pixels[..., 0].long().clamp(0, intrinsics.width - 1)

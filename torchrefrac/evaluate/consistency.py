@@ -23,6 +23,9 @@ FEW, WORSE = 0.5, 4.0
 SURE = 4.0
 """Standard deviations of a wished change."""
 NOTABLE_INDEX, NOTABLE_FOCAL, VAGUE_FOCAL = 0.01, 0.02, 0.2
+DOUBTFUL = 3.0
+"""Standard deviations by which what is stated with a sigma may be off."""
+UNCERTAIN = (("focal", "the focal length", " px"), ("principal_point", "the principal point", " px"))
 MOSTLY_DRY, VAGUE = 0.5, 0.2
 """Share of the points under water, and error of the index ratio in units of what it is above 1, of a scene in which the
 water was put where it does nothing."""
@@ -178,19 +181,51 @@ def _weak_images(scene: Scene) -> list[Finding]:
 
 
 def _lens_is_grossly_wrong(scene: Scene) -> bool:
-    """Whether the focal lengths are, beyond doubt, so far off that nothing else can be judged."""
-    step, sigma = scene.assessment.wished.get("focal", (0.0, 1.0))
-    return scene.index_ratio > 1.0 and abs(step) > max(SURE * sigma, GROSS)
+    """Whether focal lengths are, beyond doubt, so far off that nothing else can be judged."""
+    wished = (scene.assessment.wished.get(key, (0.0, 1.0)) for key in _focal_keys(scene))
+    return scene.index_ratio > 1.0 and any(abs(step) > max(SURE * sigma, GROSS) for step, sigma in wished)
+
+
+def _focal_keys(scene: Scene) -> dict[str, int]:
+    """Where an assessment has what the images wish of the focal lengths of all cameras alike, or of each; and a row of
+    the table of cameras that it is about."""
+    rows = range(len(scene.cameras))
+    return {"focal": 0} | {f"focal{scene.cameras.label(row)}": row for row in rows}
 
 
 def _intrinsics(scene: Scene) -> list[Finding]:
-    step, sigma = scene.assessment.wished.get("focal", (0.0, 1.0))
+    found = [finding for key, row in _focal_keys(scene).items() for finding in _focal(scene, key, row)]
+    return found + [finding for row in range(len(scene.cameras)) for finding in _uncertain(scene, row)]
+
+
+def _uncertain(scene: Scene, row: int) -> list[Finding]:
+    """Whether what was stated of a camera, with a sigma, is farther off than that explains."""
+    cameras = scene.cameras
+    stated, label = cameras.stated or cameras, cameras.label(row)
+    findings = []
+    for name, words, unit in UNCERTAIN:
+        sigma = float(stated.sigma_of(name)[row])
+        found, given = getattr(cameras, name)[row], getattr(stated, name)[row]
+        off = float(found[0] / given[0] - 1.0 if name == "focal" else (found - given).abs().max())
+        if sigma == 0.0 or abs(off) <= DOUBTFUL * sigma:
+            continue
+        shown, said = (", ".join(f"{x:.6g}" for x in value.tolist()) for value in (found, given))
+        message = (
+            f"{words}{label} is {shown}{unit} in the images, but {said}{unit} is stated, to {sigma:.2g}"
+            f"{' of it' if name == 'focal' else unit}: check it, or state a larger sigma"
+        )
+        findings.append(Finding(WarningCode.INTRINSICS_CONTRADICT, message))
+    return findings
+
+
+def _focal(scene: Scene, key: str, row: int) -> list[Finding]:
+    step, sigma = scene.assessment.wished.get(key, (0.0, 1.0))
     if abs(step) <= max(SURE * sigma, NOTABLE_FOCAL):
         return []
-    width, stated = scene.cameras[0].width, float(scene.cameras.focal[0, 0])
+    width, stated = scene.cameras[row].width, float(scene.cameras.focal[row, 0])
     seen = stated * math.exp(step)
     angle, angle_seen = (math.degrees(2.0 * math.atan(0.5 * width / focal)) for focal in (stated, seen))
-    message = "the images agree best with focal lengths "
+    message = f"the images agree best with focal lengths{key.removeprefix('focal')} "
     if sigma < VAGUE_FOCAL:
         message += f"near {seen:.4g} px (+- {100.0 * sigma:.2g} %), {angle_seen:.0f} degrees from side to side, "
     else:

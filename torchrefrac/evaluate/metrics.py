@@ -10,6 +10,7 @@ from torchrefrac.evaluate.point_errors import point_metrics
 from torchrefrac.evaluate.true_surface import TrueSurface
 from torchrefrac.geometry import Similarity, align_above_plane, align_similarity, so3_log
 from torchrefrac.scene import Scene, Truth
+from torchrefrac.scene.tables import ONLY
 
 MIN_SIMILARITY_CAMERAS = 3
 
@@ -30,6 +31,7 @@ def summarize(scene: Scene) -> dict[str, Any]:
         "index_ratio": scene.index_ratio,
         "warnings": [finding.content for finding in scene.findings],
     }
+    metrics |= intrinsics_metrics(scene)
     if known.index_ratio_sigma is not None:
         metrics["index_ratio_sigma"] = known.index_ratio_sigma
     if known.pixel_sigma is not None:
@@ -41,6 +43,28 @@ def summarize(scene: Scene) -> dict[str, Any]:
         metrics["determined"] = list(known.determined)
     if known.fixed:
         metrics["held"] = dict(known.fixed)
+    return metrics
+
+
+def intrinsics_metrics(scene: Scene) -> dict[str, Any]:
+    """What was refined of the cameras, and how well it is known: of camera NAME `camera_NAME_focal_px` (fx; both grow
+    by one factor), `camera_NAME_principal_point_px` and `camera_NAME_distortion` (as many coefficients as were
+    refined), and standard deviations with `_sigma` before the unit. Without NAME where nobody gave the camera one."""
+    cameras, metrics = scene.cameras, {}
+    for row, prefix in enumerate(["camera"] if cameras.names == (ONLY,) else [f"camera_{n}" for n in cameras.names]):
+        for name, sigmas in scene.assessment.intrinsics_sigma.items():
+            sigma = sigmas[row]
+            if not bool((sigma > 0.0).any()):
+                continue
+            if name == "focal":
+                focal = float(cameras.focal[row, 0])
+                metrics |= {f"{prefix}_focal_px": focal, f"{prefix}_focal_sigma_px": focal * float(sigma)}
+            elif name == "principal_point":
+                metrics[f"{prefix}_principal_point_px"] = cameras.principal_point[row].tolist()
+                metrics[f"{prefix}_principal_point_sigma_px"] = sigma.tolist()
+            else:
+                metrics[f"{prefix}_distortion"] = cameras.distortion[row, : len(sigma)].tolist()
+                metrics[f"{prefix}_distortion_sigma"] = sigma.tolist()
     return metrics
 
 

@@ -52,7 +52,8 @@ def textured_points(
         raise ValueError(f"window is {window}, but must be odd, so that it has a middle")
     if not images:
         return torch.zeros(0, 3, dtype=torch.float64)
-    contrast = torch.stack([_contrast(image, truth_points.pixels(), window) for image in images])
+    pixels, valid = truth_points.pixels(), truth_points.valid
+    contrast = torch.stack([_contrast(image, pixels, own, window) for image, own in zip(images, valid, strict=True)])
     textured = truth_points.valid & (contrast >= min_contrast)
     points = [table[chosen].numpy() for table, chosen in zip(truth_points.points, textured, strict=True)]
     views = _count_views(points, truth_points, min_views)
@@ -60,18 +61,22 @@ def textured_points(
 
 
 def _contrast(
-    image: Shaped[Tensor, "height width"], pixels: Float[Tensor, "h w 2"], window: int
+    image: Shaped[Tensor, "height width"], pixels: Float[Tensor, "h w 2"], valid: Bool[Tensor, "h w"], window: int
 ) -> Float[Tensor, "h w"]:
-    """Standard deviation of an image in the window around each of the pixels, cut at the border."""
-    column, row = pixels.floor().long().unbind(dim=-1)
+    """Standard deviation of an image in the window around each of the valid pixels, cut at the border."""
+    contrast = torch.zeros(valid.shape, dtype=torch.float64)
+    if not bool(valid.any()):
+        return contrast
+    column, row = pixels[valid].floor().long().unbind(dim=-1)
     height, width = image.shape
-    if pixels.min() < 0 or column.max() >= width or row.max() >= height:
+    if min(column.min(), row.min()) < 0 or column.max() >= width or row.max() >= height:
         wants = f"{int(column.max()) + 1} x {int(row.max()) + 1}"
         raise ValueError(f"image is {width} x {height} pixels, but the true points need at least {wants}")
     grey = image.double()
     grey = grey - grey.mean()
     mean, square = _window_mean(grey, window)[row, column], _window_mean(grey.square(), window)[row, column]
-    return (square - mean.square()).clamp(min=0.0).sqrt()
+    contrast[valid] = (square - mean.square()).clamp(min=0.0).sqrt()
+    return contrast
 
 
 def _window_mean(image: Float[Tensor, "h w"], window: int) -> Float[Tensor, "h w"]:

@@ -168,6 +168,13 @@ class Fields:
     def is_list(self, name: str) -> bool:
         return isinstance(self._get(name), list)
 
+    def texts(self, name: str) -> list[str]:
+        """A list of texts."""
+        value = self._get(name)
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            raise self.fail(name, f"is {_kind(value)}, but must be a list of texts")
+        return value
+
     def matrix(self, name: str) -> list[list[float]]:
         """A 3x3 matrix as three rows."""
         value = self._get(name)

@@ -69,13 +69,16 @@ class Capture:
             "has_heading": torch.zeros_like(self.has_height),
             "camera": torch.zeros(len(self), dtype=torch.long),
             "interface": torch.zeros(len(self), dtype=torch.long),
-            "height_sigma": torch.where(self.has_height, RELATIVE_HEIGHT_SIGMA * self.height, torch.inf),
+            "height_sigma": torch.full_like(self.height, torch.inf),
             "position": torch.zeros_like(unknown),
             "position_sigma": unknown,
         }
         for name, values in by_default.items():
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, values)
+        unsaid = self.has_height & self.height_sigma.isinf()
+        sigma = torch.where(unsaid, RELATIVE_HEIGHT_SIGMA * self.height, self.height_sigma)
+        object.__setattr__(self, "height_sigma", sigma)
 
     def __len__(self) -> int:
         return len(self.names)

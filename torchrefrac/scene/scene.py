@@ -31,10 +31,13 @@ class Assessment:
     centres. All are relative to the cameras as a whole. surface_slope: root mean square slope of the water surface that
     the residuals show, radians, zero where they show none; surface_moves: whether it differs from image to image.
     common_tilt: how far such errors make verticals of registered views uncertain, radians; growth: by how much they
-    make standard deviations larger. index_ratio_sigma: None where it was given.
+    make standard deviations larger. index_ratio_sigma: None where it was given. intrinsics_sigma: by name of what was
+    refined of them ("focal", relative, "principal_point", "radial", "distortion"), of each camera; zero where it was
+    not.
     determined: sentences about water, intrinsics and scale; fixed: what was to be refined, but is not determined, and
-    why. wished: by how much "index_ratio" and the logarithm of the "focal" length, which were given, would change if
-    the images had a say, and the standard deviations of these changes; of a grossly wrong focal length, that alone.
+    why. wished: by how much "index_ratio" and the logarithm of the "focal" length (of each camera, see
+    `Cameras.label`), which were given, would change if the images had a say, and the standard deviations of these
+    changes; of a grossly wrong focal length, that alone.
     disputed: how many tracks are seen straight, as their observations say, though they lie within the stated extent of
     the water, and how many through water, though beyond.
     levels: by how much the water stands higher for some views than for the others, for which it is 0; None where one
@@ -49,6 +52,7 @@ class Assessment:
     center_sigma: Float[Tensor, " r"] | None = None
     center_covariance: Float[Tensor, "r 3 3"] | None = None
     index_ratio_sigma: float | None = None
+    intrinsics_sigma: Mapping[str, Float[Tensor, "g _"]] = field(default_factory=dict)
     determined: tuple[str, ...] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)
     wished: Mapping[str, tuple[float, float]] = field(default_factory=dict)

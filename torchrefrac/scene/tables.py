@@ -27,7 +27,8 @@ class Cameras:
     distortion: the coefficients that a camera has, then zeros; models: "opencv" or "fisheye". Expected errors of what
     is stated, as standard deviations, zero where it counts as exact: focal_sigma, of both focal lengths by the same
     factor, relative; principal_point_sigma, of each coordinate, pixels; distortion_sigma, of each coefficient. By
-    default all models are "opencv", all is exact, and the names are numbers. stated: what the errors are expected of,
+    default all models are "opencv", all is exact, and the names are numbers. read_as: what the models are called in the
+    file that cameras were read from, if anybody may ask. stated: what the errors are expected of,
     where the numbers have been changed since; None: of these.
     """
 
@@ -40,6 +41,7 @@ class Cameras:
     focal_sigma: Float[Tensor, " f"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
     principal_point_sigma: Float[Tensor, " f"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
     distortion_sigma: Float[Tensor, " f"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
+    read_as: tuple[str, ...] = ()
     stated: "Cameras | None" = None
 
     def __post_init__(self) -> None:

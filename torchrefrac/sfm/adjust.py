@@ -174,6 +174,7 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         center_sigma=mean_deviation(centers),
         center_covariance=centers,
         index_ratio_sigma=float(known.index_ratio) if "index_ratio" in problem.layout.water else None,
+        intrinsics_sigma=known.intrinsics,
         determined=tuple(d.sentence for d in found),
         fixed=fixed,
         wished={name: (by, known.growth * sigma) for each in wished for name, (by, sigma) in each} if found else {},

@@ -32,7 +32,7 @@ def errors_in_air_and_water(scene: Scene, stated: Capture) -> tuple[float, float
     if len(part.points) < LEAST_POINTS:
         return None
     ratio = stated.index_ratio if stated.index_ratio > 1.0 else FRESH_WATER
-    wet = replace(part, cameras=stated.cameras, interfaces=Interfaces.level(ratio))
+    wet = replace(part, cameras=stated.cameras.exact(), interfaces=Interfaces.level(ratio))
     options = ReadjustOptions()
     options = replace(options, bundle=replace(options.bundle, refine=("plane_height",)))
     try:

@@ -1,24 +1,29 @@
 """The folder of a made scene: photographs, what its user would know, and the truth."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
+from torch import Tensor
 
 from torchrefrac.atomic import replacing
 from torchrefrac.camera import Intrinsics
 from torchrefrac.files.capture import FORMAT as CAPTURE_FORMAT
+from torchrefrac.files.capture import SEVERAL
 from torchrefrac.files.intrinsics import intrinsics_content
 from torchrefrac.files.mesh import write_mesh
+from torchrefrac.files.metadata.dji_tags import write_with_tags
 from torchrefrac.files.survey import FORMAT as SURVEY_FORMAT
 from torchrefrac.files.truth import POINTS_FILE
 from torchrefrac.geometry.surfaces import Rectangle
 from torchrefrac.recorder import Recorder
 from torchrefrac.synthetic.attitude import Attitude, measure_attitude, measure_positions
+from torchrefrac.synthetic.drone import drone_tags
 from torchrefrac.synthetic.options import SyntheticOptions
 from torchrefrac.synthetic.photograph import Photographer, develop
 from torchrefrac.synthetic.stage import Stage, StageError
@@ -37,13 +42,18 @@ def image_names(count: int) -> tuple[str, ...]:
 
 
 def render_into(
-    folder: Path, photographer: Photographer, options: SyntheticOptions, version: int, recorder: Recorder
+    folder: Path,
+    photographers: Sequence[Photographer],
+    options: SyntheticOptions,
+    version: int,
+    recorder: Recorder,
 ) -> None:
-    """Write all files of a scene; images that are there already are whole, and stay.
+    """Write all files of a scene, of which `photographers` take the photographs in turn; images that are there already
+    are whole, and stay.
 
     Raises StageError where by its measured gravity a camera looks at the sky: captures of these are refused.
     """
-    stage = photographer.stage
+    stage = photographers[0].stage
     for left_over in folder.glob("**/.*.partial.*"):
         left_over.unlink()
     names = image_names(len(stage.center))
@@ -54,23 +64,30 @@ def render_into(
                 f"scene {options.name}: by its measured gravity {name} looks at the sky; point the cameras further "
                 "down, or give smaller errors in inertial"
             )
-    capture = _capture(stage, options, photographer.intrinsics, attitude)
+    capture = _capture(stage, options, [photographer.intrinsics for photographer in photographers], attitude)
     sigma = stage.position_sigma
     if sigma is not None:
         positions = dict(zip(names, measure_positions(stage.center, sigma, options.seed).tolist(), strict=True))
         for image in capture["images"]:
-            image["center_prior"] = positions[image["name"]]
+            if len(photographers) == 1:
+                image["center_prior"] = positions[image["name"]]
+            else:
+                image |= {"position": positions[image["name"]], "position_sigma": sigma}
         measured = {name: {"center": position, "center_sigma": sigma} for name, position in positions.items()}
         _write_json({"format": SURVEY_FORMAT, "images": measured}, folder / "survey.json")
     scene = {"format": SCENE_FORMAT, "version": version, "options": options.fingerprint()}
     _write_json(scene, folder / "scene.json")
     _write_json(capture, folder / "capture.json")
     _write_json(_truth(stage, options, attitude), folder / "truth.json")
+    intrinsics = [photographer.intrinsics for photographer in photographers]
+    tags = drone_tags(stage, intrinsics, options) if options.metadata == "drone" else None
     for image, name in recorder.track(enumerate(names), len(names), f"rendering {options.label}", "image"):
         path = folder / "images" / name
         if not path.is_file():
-            write_photograph(develop(photographer.take(image), options.sensor, options.seed, image), path)
-    _write_truth_points(photographer, folder / POINTS_FILE)
+            light = photographers[image % len(photographers)].take(image)
+            taken = develop(light, options.sensor, options.seed, image)
+            write_photograph(taken, path) if tags is None else write_with_tags(taken, tags[image], path)
+    _write_truth_points(photographers, folder / POINTS_FILE)
     _write_surface(stage, folder / SURFACE_FILE)
 
 
@@ -86,19 +103,28 @@ def _write_json(content: dict[str, Any], path: Path) -> None:
         temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
 
 
-def _capture(stage: Stage, options: SyntheticOptions, intrinsics: Intrinsics, attitude: Attitude) -> dict[str, Any]:
-    """`capture.json`: the index ratio is the true one, only the first height above the water is measured."""
+def _capture(
+    stage: Stage, options: SyntheticOptions, intrinsics: Sequence[Intrinsics], attitude: Attitude
+) -> dict[str, Any]:
+    """`capture.json`: the index ratio is the true one, only the first height above the water is measured. intrinsics:
+    of the cameras that take the photographs in turn."""
+    several = len(intrinsics) > 1
     images: list[dict[str, Any]] = []
     for i, name in enumerate(image_names(len(stage.center))):
         image: dict[str, Any] = {"name": name, "down_in_cam": attitude.down_in_cam[i].tolist()}
         if attitude.heading is not None:
             image["heading_deg"] = float(attitude.heading[i].rad2deg())
+        if several:
+            image["camera"] = str(i % len(intrinsics))
         if i == 0:
             image["height"] = float(stage.center[i, 2])
         images.append(image)
+    lenses: dict[str, Any] = {"intrinsics": intrinsics_content(intrinsics[0])}
+    if several:
+        lenses = {"cameras": {str(i): intrinsics_content(camera) for i, camera in enumerate(intrinsics)}}
     return {
-        **{"format": CAPTURE_FORMAT, "length_unit": stage.length_unit, "index_ratio": options.index_ratio},
-        **{"pixel_origin": "corner", "intrinsics": intrinsics_content(intrinsics)},
+        **{"format": SEVERAL if several else CAPTURE_FORMAT, "length_unit": stage.length_unit},
+        **{"index_ratio": options.index_ratio, "pixel_origin": "corner", **lenses},
         **{"down_in_cam_sigma_deg": attitude.sigma_deg, "images": images},
     }
 
@@ -133,22 +159,29 @@ def _planes(stage: Stage) -> dict[int, Rectangle]:
     return {i: surface for i, surface in surfaces if isinstance(surface, Rectangle)}
 
 
-def _write_truth_points(photographer: Photographer, path: Path) -> None:
-    """Write `truth_points.npz`: what every fourth pixel of every fourth row truly sees, at its centre."""
-    stage, intrinsics = photographer.stage, photographer.intrinsics
-    columns, rows = (range(min(OFFSET, size - 1), size, STEP) for size in (intrinsics.width, intrinsics.height))
-    x, y = (torch.tensor(numbers, dtype=torch.float64) + 0.5 for numbers in (columns, rows))
-    pixels = torch.stack((x.expand(len(rows), -1), y[:, None].expand(-1, len(columns))), dim=-1).flatten(0, 1)
+def _write_truth_points(photographers: Sequence[Photographer], path: Path) -> None:
+    """Write `truth_points.npz`: what every fourth pixel of every fourth row truly sees, at its centre; nothing beyond
+    an image that is smaller than others."""
+    stage, grids = photographers[0].stage, [_pixels(photographer.intrinsics) for photographer in photographers]
+    rows, columns = (max(grid.shape[axis] for grid in grids) for axis in (0, 1))
     planes, plane_of_piece = _planes(stage), torch.full((len(stage.pieces) + 1,), -1)
     plane_of_piece[list(planes)] = torch.arange(len(planes))
-    points = np.empty((len(stage.center), len(rows), len(columns), 3), dtype=np.float32)
-    plane = np.empty(points.shape[:3], dtype=np.int16)
+    points = np.full((len(stage.center), rows, columns, 3), np.nan, dtype=np.float32)
+    plane = np.full(points.shape[:3], -1, dtype=np.int16)
     for image in range(len(points)):
-        sight = photographer.look(image, pixels)
-        points[image] = sight.points.reshape(points.shape[1:]).numpy()
-        plane[image] = plane_of_piece[sight.piece].reshape(plane.shape[1:]).numpy()
+        grid = grids[image % len(grids)]
+        sight, (height, width) = photographers[image % len(grids)].look(image, grid.flatten(0, 1)), grid.shape[:2]
+        points[image, :height, :width] = sight.points.reshape(height, width, 3).numpy()
+        plane[image, :height, :width] = plane_of_piece[sight.piece].reshape(height, width).numpy()
     with replacing(path) as temporary:
         np.savez_compressed(temporary, X=points, plane=plane, step=np.array(STEP), offset=np.array(float(OFFSET)))
+
+
+def _pixels(intrinsics: Intrinsics) -> Float[Tensor, "rows columns 2"]:
+    """Centres of every fourth pixel of every fourth row."""
+    columns, rows = (range(min(OFFSET, size - 1), size, STEP) for size in (intrinsics.width, intrinsics.height))
+    x, y = (torch.tensor(numbers, dtype=torch.float64) + 0.5 for numbers in (columns, rows))
+    return torch.stack((x.expand(len(rows), -1), y[:, None].expand(-1, len(columns))), dim=-1)
 
 
 def _write_surface(stage: Stage, path: Path) -> None:

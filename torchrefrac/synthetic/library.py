@@ -60,14 +60,14 @@ def render_scene(stage: Stage, options: SyntheticOptions, cache: Path, recorder:
     folder cannot be written.
     """
     folder = scene_folder(options, cache)
-    photographer = Photographer.of(stage, options)
-    rehearse(photographer, options, image_names(len(stage.center)))
+    photographers = Photographer.each(stage, options)
+    rehearse(photographers, options, image_names(len(stage.center)))
     with _explained(folder, cache):
         cache.mkdir(parents=True, exist_ok=True)
         with _alone(folder, recorder):
             if not folder.is_dir():
                 partial = folder.with_name(f"{folder.name}.partial")
-                render_into(partial, photographer, options, VERSION, recorder)
+                render_into(partial, photographers, options, VERSION, recorder)
                 partial.rename(folder)
     return folder
 

@@ -5,7 +5,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import torch
 
@@ -59,6 +59,17 @@ class CameraOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class HeldCameraOptions(CameraOptions):
+    """A camera that is turned about its optical axis by so many quarter turns, which turn what it sees clockwise."""
+
+    quarter_turns: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_between(self.quarter_turns, "quarter_turns", -3, 3)
+
+
+@dataclass(frozen=True, kw_only=True)
 class SensorOptions:
     """samples x samples rays a pixel; blur: standard deviation of the optics' spot (pixels), noise: of a grey value."""
 
@@ -93,13 +104,29 @@ class InertialOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class DroneOptions:
+    """Errors of a drone that writes its own metadata: standard deviations of its positions, horizontal and vertical
+    (m), and of its gimbal about each axis."""
+
+    position_sigma: tuple[float, ...] = (0.02, 0.03)
+    gimbal_sigma_deg: float = 0.3
+
+    def __post_init__(self) -> None:
+        if len(self.position_sigma) != 2:
+            raise ValueError(f"position_sigma is {list(self.position_sigma)}, but must be two: horizontal and vertical")
+        require_ranges(self, {"position_sigma": Range(above=0.0, at_most=LONGEST)})
+        require_between(self.gimbal_sigma_deg, "gimbal_sigma_deg", 0.0, 30.0, "degrees")
+
+
+@dataclass(frozen=True, kw_only=True)
 class SyntheticOptions:
     """How any made scene is photographed.
 
-    index_ratio: true n_water / n_air. plane_tilt_deg: how far true gravity is from the perpendicular of the water
+    index_ratio: true n_water / n_air. cameras: those that take the photographs in turn; none: `camera` takes all, for
+    which their path is made in any case. plane_tilt_deg: how far true gravity is from the perpendicular of the water
     surface, about world x and y: as in a tank that is filled to a tilted lid, or a wall; the frame stays that of the
-    surface. reflection: grey value of the sky that the surface mirrors (0: it mirrors nothing). seed decides textures,
-    waves, noise and all errors.
+    surface. reflection: grey value of the sky that the surface mirrors (0: it mirrors nothing). metadata: what the
+    photographs say of themselves, nothing or what `drone` would. seed decides textures, waves, noise and all errors.
     """
 
     name: str
@@ -107,9 +134,12 @@ class SyntheticOptions:
     plane_tilt_deg: tuple[float, ...] = (0.0, 0.0)
     reflection: float = 0.0
     camera: CameraOptions = field(default_factory=CameraOptions)
+    cameras: tuple[HeldCameraOptions, ...] = ()
     sensor: SensorOptions = field(default_factory=SensorOptions)
     inertial: InertialOptions = field(default_factory=InertialOptions)
     waves: WaveOptions = field(default_factory=WaveOptions)
+    metadata: Literal["none", "drone"] = "none"
+    drone: DroneOptions = field(default_factory=DroneOptions)
     seed: int = 0
 
     @property
@@ -119,7 +149,12 @@ class SyntheticOptions:
 
     def fingerprint(self) -> dict[str, Any]:
         """What decides the photographs, as plain values: all options, and the kind of scene."""
-        return {"scene": type(self).__name__, **asdict(self)}
+        options = asdict(self)
+        if not self.cameras:
+            del options["cameras"]
+        if self.metadata == "none":
+            del options["metadata"], options["drone"]
+        return {"scene": type(self).__name__, **options}
 
     def __post_init__(self) -> None:
         require_between(self.index_ratio, "index_ratio", 1.0, MAX_INDEX_RATIO, "(water: 1.333)")

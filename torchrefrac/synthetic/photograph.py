@@ -1,6 +1,6 @@
 """One photograph of a stage: the light, and what the optics and the sensor make of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry.surfaces import by_component
 from torchrefrac.parallel import side_by_side
-from torchrefrac.synthetic.options import SensorOptions, SyntheticOptions, seeded
+from torchrefrac.synthetic.options import CameraOptions, SensorOptions, SyntheticOptions, seeded
 from torchrefrac.synthetic.sight import Scenery, Sight
 from torchrefrac.synthetic.stage import Stage
 from torchrefrac.synthetic.waves import Waves, reflectance
@@ -36,15 +36,28 @@ class Photographer:
 
     @classmethod
     def of(cls, stage: Stage, options: SyntheticOptions) -> "Photographer":
-        """As the options say."""
-        camera, waves = options.camera, Waves.draw(options.waves, options.seed)
+        """As the options say, with their one camera."""
+        waves = Waves.draw(options.waves, options.seed)
         return cls(
             stage=stage,
             scenery=Scenery(stage.pieces, options.index_ratio, waves, stage.water_extent),
-            intrinsics=Intrinsics.create(camera.width, camera.height, camera.focal, distortion=camera.distortion),
+            intrinsics=_intrinsics(options.camera),
             samples=options.sensor.samples,
             reflection=options.reflection,
         )
+
+    @classmethod
+    def each(cls, stage: Stage, options: SyntheticOptions) -> "tuple[Photographer, ...]":
+        """One for each camera of the options, which take the photographs in turn and hold their cameras turned."""
+        only = cls.of(stage, options)
+        if not options.cameras:
+            return (only,)
+        turns = torch.arange(len(stage.rotation)) % len(options.cameras)
+        quarters = torch.tensor([camera.quarter_turns for camera in options.cameras])[turns]
+        quarter = torch.tensor(((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), dtype=torch.float64)
+        turned = torch.stack([torch.linalg.matrix_power(quarter, int(count) % 4) for count in quarters])
+        held = replace(stage, rotation=turned @ stage.rotation)
+        return tuple(replace(only, stage=held, intrinsics=_intrinsics(camera)) for camera in options.cameras)
 
     def look(self, image: int, pixels: Float[Tensor, "n 2"]) -> Sight:
         """What camera number `image` sees at pixels."""
@@ -113,6 +126,10 @@ class Photographer:
         towards = torch.nn.functional.normalize(torch.tensor(self.stage.towards_light, dtype=normal.dtype), dim=-1)
         light = self.stage.ambient + self.stage.direct * (normal @ towards).abs()
         return light[:, None].float()
+
+
+def _intrinsics(camera: CameraOptions) -> Intrinsics:
+    return Intrinsics.create(camera.width, camera.height, camera.focal, distortion=camera.distortion)
 
 
 def develop(

@@ -3,7 +3,10 @@
 from collections.abc import Sequence
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
+from torchrefrac.camera import Intrinsics
 from torchrefrac.synthetic.options import SyntheticOptions
 from torchrefrac.synthetic.photograph import Photographer
 from torchrefrac.synthetic.stage import StageError
@@ -13,25 +16,17 @@ LEAST_SHARE = 0.25
 PIXEL_TOLERANCE = 1e-3
 
 
-def rehearse(photographer: Photographer, options: SyntheticOptions, names: Sequence[str]) -> None:
-    """Refuse what would make photographs that nobody can use.
+def rehearse(photographers: Sequence[Photographer], options: SyntheticOptions, names: Sequence[str]) -> None:
+    """Refuse what would make photographs that nobody can use. photographers: who take them in turn.
 
     Raises StageError, one sentence, where the distortion folds the image over itself, a camera does not stand above the
     water, an image sees the scene in less than a quarter of a coarse grid of pixels, or no pixel of any image sees
     anything through the water.
     """
-    stage, intrinsics = photographer.stage, photographer.intrinsics
-    grid, (width, height) = intrinsics.pixel_grid(ROWS, COLUMNS).flatten(0, 1), (intrinsics.width, intrinsics.height)
-    corners = grid.new_tensor([[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]])
-    pixels = torch.cat((grid, corners))
-    error = (intrinsics.pixels_from_plane(intrinsics.plane_from_pixels(pixels)) - pixels).norm(dim=-1)
-    if not bool((error <= PIXEL_TOLERANCE).all()):
-        raise StageError(
-            f"camera.distortion is {list(options.camera.distortion)}, but such a lens shows a point of the scene at "
-            "several places of the image; give smaller coefficients or a smaller camera.fov_deg"
-        )
-    crest, wet = photographer.scenery.crest, 0
+    grids = [_grid(photographer.intrinsics) for photographer in photographers]
+    stage, crest, wet = photographers[0].stage, photographers[0].scenery.crest, 0
     for image, name in enumerate(names):
+        photographer, grid = photographers[image % len(photographers)], grids[image % len(photographers)]
         height = float(stage.center[image, 2])
         if not height > crest:
             surface = "the water, z = 0" if crest == 0.0 else f"the crests of the waves, z = {crest:.3g}"
@@ -54,3 +49,17 @@ def rehearse(photographer: Photographer, options: SyntheticOptions, names: Seque
             f"scene {options.name} lies above the water: no camera sees anything below z = 0; lower the scene or "
             "raise the water"
         )
+
+
+def _grid(intrinsics: Intrinsics) -> Float[Tensor, "n 2"]:
+    """A coarse grid of pixels, of a lens that shows each point in one place."""
+    grid, (width, height) = intrinsics.pixel_grid(ROWS, COLUMNS).flatten(0, 1), (intrinsics.width, intrinsics.height)
+    corners = grid.new_tensor([[0.0, 0.0], [width, 0.0], [0.0, height], [width, height]])
+    pixels = torch.cat((grid, corners))
+    error = (intrinsics.pixels_from_plane(intrinsics.plane_from_pixels(pixels)) - pixels).norm(dim=-1)
+    if not bool((error <= PIXEL_TOLERANCE).all()):
+        raise StageError(
+            f"camera.distortion is {intrinsics.distortion.tolist()}, but such a lens shows a point of the scene at "
+            "several places of the image; give smaller coefficients or a smaller camera.fov_deg"
+        )
+    return grid

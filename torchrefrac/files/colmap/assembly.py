@@ -1,6 +1,7 @@
 """Between the tables of a COLMAP model and a `Scene`: ids resolved, checked and given."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from torchrefrac.files.colmap import tables
 from torchrefrac.files.colmap.tables import AGAIN, CameraRow, ImageTable, PointTable
 from torchrefrac.geometry import Rigid, rotate
 from torchrefrac.geometry.rotation import quaternion_of
-from torchrefrac.scene import Interfaces, Observations, Scene, SceneError
+from torchrefrac.scene import Cameras, Interfaces, Observations, Scene, SceneError
 
 Rows = Int[np.ndarray, " k"]
 
@@ -45,7 +46,7 @@ def assemble(
     pixels = torch.from_numpy(images.pixels[feature[by_point]])
     return Scene.create(
         Rigid(rotation, -rotate(rotation.mT, torch.from_numpy(images.translations[order]))),
-        [tables.intrinsics_of(rows[camera], cameras_path) for camera in used],
+        _cameras([rows[camera] for camera in used], cameras_path),
         Interfaces.level(1.0),
         torch.from_numpy(points.positions[point_order]),
         Observations(torch.from_numpy(image[by_point]), torch.from_numpy(point[by_point]), pixels),
@@ -53,6 +54,13 @@ def assemble(
         camera=torch.from_numpy(np.searchsorted(np.array(used, dtype=np.int64), images.cameras[order])),
         colors=torch.from_numpy(points.colors[point_order]),
     ).cleaned()
+
+
+def _cameras(rows: list[CameraRow], path: Path) -> Cameras:
+    """By their ids, where there are several."""
+    names = tuple(str(row.id) for row in rows) if len(rows) > 1 else ()
+    cameras = Cameras.of([tables.intrinsics_of(row, path) for row in rows], names)
+    return replace(cameras, read_as=tuple(row.model for row in rows))
 
 
 def _check_images(images: ImageTable, path: Path) -> None:
@@ -169,7 +177,10 @@ def tables_of(scene: Scene, errors: Float[Tensor, "..."] | None) -> tuple[list[C
         images=image + 1,
         features=_ranks(by_image) - starts[image],
     )
-    return [tables.row_of(scene.cameras[i], i + 1) for i in range(len(scene.cameras))], images, points
+    cameras = scene.cameras
+    models = cameras.read_as or ("",) * len(cameras)
+    rows = [tables.row_of(cameras[i], i + 1, model) for i, model in enumerate(models)]
+    return rows, images, points
 
 
 def _array(values: Shaped[Tensor, "*shape"]) -> Shaped[np.ndarray, "*shape"]:

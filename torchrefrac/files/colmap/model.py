@@ -44,7 +44,7 @@ def read_colmap(folder: str | Path) -> Scene:
 
     Raises SceneError, with the file and the line or record, where a file is missing, truncated or inconsistent, has
     a number that is not finite, a quaternion of zero length, or a camera model other than SIMPLE_PINHOLE, PINHOLE,
-    SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV (with k4, k5 and k6 of 0).
+    SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV and OPENCV_FISHEYE.
     """
     folder = Path(folder)
     found = find_colmap(folder)
@@ -64,10 +64,11 @@ def write_colmap(
     its cameras, registered views and points. Its water has no place in them.
 
     `errors`: the reprojection error of each point in pixels, which the files have a place for; -1 (unknown) by default.
-    Intrinsics become a PINHOLE camera where the distortion is zero, OPENCV where k3 is, else FULL_OPENCV. All numbers
-    survive to the last bit except poses, which the files hold as quaternion and translation: 1e-15 or so. The files
-    replace those of an earlier model only once all three are complete. Raises SceneError where `folder` holds files
-    that whoever reads the model would take for a part of it, and for a name that the files cannot hold.
+    Cameras keep the model that they were read as, where it holds their numbers; others become OPENCV_FISHEYE, PINHOLE
+    where the distortion is zero, OPENCV where k3 is, else FULL_OPENCV. All numbers survive to the last bit except
+    poses, which the files hold as quaternion and translation: 1e-15 or so. The files replace those of an earlier model
+    only once all three are complete. Raises SceneError where `folder` holds files that whoever reads the model would
+    take for a part of it, and for a name that the files cannot hold.
     """
     folder, ending = Path(folder), ".bin" if binary else ".txt"
     others = [f"{stem}{'.txt' if binary else '.bin'}" for stem in STEMS]

@@ -12,12 +12,18 @@ from torchrefrac.files.plausible import implausible
 from torchrefrac.scene import SceneError
 
 NO_POINT = -1
-MODELS = {0: "SIMPLE_PINHOLE", 1: "PINHOLE", 2: "SIMPLE_RADIAL", 3: "RADIAL", 4: "OPENCV", 6: "FULL_OPENCV"}
+FISHEYE = "OPENCV_FISHEYE"
+MODELS = {
+    0: "SIMPLE_PINHOLE", 1: "PINHOLE", 2: "SIMPLE_RADIAL", 3: "RADIAL", 4: "OPENCV", 5: FISHEYE, 6: "FULL_OPENCV",
+}  # fmt: skip
 MODEL_IDS = {name: number for number, name in MODELS.items()}
-PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "FULL_OPENCV": 12}
+PARAMETERS = {
+    "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, FISHEYE: 8, "FULL_OPENCV": 12,
+}  # fmt: skip
 SHARED_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+BY_DEFAULT = ("PINHOLE", "OPENCV", "FULL_OPENCV")
 OTHER_MODELS = {
-    5: "OPENCV_FISHEYE", 7: "FOV", 8: "SIMPLE_RADIAL_FISHEYE", 9: "RADIAL_FISHEYE", 10: "THIN_PRISM_FISHEYE",
+    7: "FOV", 8: "SIMPLE_RADIAL_FISHEYE", 9: "RADIAL_FISHEYE", 10: "THIN_PRISM_FISHEYE",
     11: "RAD_TAN_THIN_PRISM_FISHEYE", 12: "SIMPLE_DIVISION", 13: "DIVISION", 14: "SIMPLE_FISHEYE", 15: "FISHEYE",
     16: "EUCM", 17: "EQUIRECTANGULAR",
 }  # fmt: skip
@@ -92,21 +98,25 @@ def intrinsics_of(row: CameraRow, path: Path) -> Intrinsics:
     principal, distortion = row.parameters[focals : focals + 2], row.parameters[focals + 2 :]
     if min(focal) <= 0.0:
         raise SceneError(f"{where} has a focal length of {min(focal):g}, but it must be above 0; calibrate it again")
-    if any(distortion[5:]):
-        raise SceneError(
-            f"{where} is FULL_OPENCV with k4, k5, k6 = {', '.join(f'{k:g}' for k in distortion[5:])}, but only 0 is "
-            "understood; calibrate with OPENCV, or undistort the images"
-        )
-    k = (*distortion[:5], *(0.0,) * (5 - len(distortion[:5])))
-    intrinsics = Intrinsics.create(row.width, row.height, focal, principal, k)
+    if row.model == FISHEYE:
+        intrinsics = Intrinsics.create(row.width, row.height, focal, principal, distortion, model="fisheye")
+    else:
+        count = 8 if any(distortion[5:]) else 5
+        k = (*distortion, *(0.0,) * count)[:count]
+        intrinsics = Intrinsics.create(row.width, row.height, focal, principal, k)
     if (wrong := implausible(intrinsics)) is not None:
         raise SceneError(f"{where}: {' '.join(wrong)}")
     return intrinsics
 
 
-def row_of(intrinsics: Intrinsics, camera: int) -> CameraRow:
-    """A camera of a COLMAP model: PINHOLE without distortion, OPENCV without k3, else FULL_OPENCV."""
+def row_of(intrinsics: Intrinsics, camera: int, read_as: str = "") -> CameraRow:
+    """A camera of a COLMAP model: of the one that it was read as, where that holds its numbers; or else OPENCV_FISHEYE
+    of a fisheye, PINHOLE without distortion, OPENCV without k3, FULL_OPENCV."""
     numbers = torch.cat((intrinsics.focal, intrinsics.principal_point, intrinsics.distortion)).detach().cpu().double()
-    parameters = (*numbers.tolist(), 0.0, 0.0, 0.0)
-    model = next(name for name in ("PINHOLE", "OPENCV", "FULL_OPENCV") if not any(parameters[PARAMETERS[name] :]))
-    return CameraRow(camera, model, intrinsics.width, intrinsics.height, parameters[: PARAMETERS[model]])
+    fx, fy, *others = (*numbers.tolist(), 0.0, 0.0, 0.0)
+    for model in (FISHEYE,) if intrinsics.fisheye is not None else (read_as, *BY_DEFAULT):
+        parameters = [fx, *others] if model in SHARED_FOCAL else [fx, fy, *others]
+        count = PARAMETERS.get(model, 0)
+        if count and not any(parameters[count:]) and (fx == fy or model not in SHARED_FOCAL):
+            return CameraRow(camera, model, intrinsics.width, intrinsics.height, tuple(parameters[:count]))
+    raise AssertionError("FULL_OPENCV holds whatever intrinsics there are")

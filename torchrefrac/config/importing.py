@@ -1,0 +1,123 @@
+"""The typed options of the commands that come before a reconstruction: import and calibrate."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from torchrefrac.checks import Range, require_ranges
+from torchrefrac.config.build import OptionError
+from torchrefrac.scene.interfaces import MAX_INDEX_RATIO
+
+ANY_ALTITUDE = Range(at_least=-1e5, at_most=1e6)  # m
+
+
+@dataclass(frozen=True)
+class FilmOptions:
+    """Of the frames that are taken from a film: overlap, by how much of their sides neighbours show the same; most, how
+    many are taken."""
+
+    overlap: float = 0.8
+    most: int = 300
+
+    def __post_init__(self) -> None:
+        require_ranges(self, {"overlap": Range(at_least=0.1, at_most=0.98), "most": Range(at_least=2, at_most=10_000)})
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """Photographs from the command line, what is known of them beside what their files say, and where capture.json
+    goes.
+
+    photographs: folders, files, patterns, or a film. table: a CSV file, or a geo.txt. crs: of positions, by default the
+    zone of UTM. vertical: what altitudes count from, by default what those of most photographs do. water_level: the
+    water's altitude; take_off_above_water: height of the place of the take-off. cameras: what tells cameras apart.
+    camera: a file written by `torchrefrac calibrate`. focal_px: of all photographs. gravity_sigma_deg, position_sigma
+    (horizontal, vertical; m), focal_sigma (relative): instead of those by the makers of the devices. look: whether
+    photographs are looked at, and useless ones left out. quiet: only errors are said.
+    """
+
+    photos: str | tuple[str, ...]
+    out: str
+    table: str | None = None
+    index_ratio: float = 1.333
+    crs: str | None = None
+    vertical: Literal["auto", "ellipsoid", "sea_level", "take_off", "table"] = "auto"
+    water_level: float | None = None
+    take_off_above_water: float | None = None
+    cameras: Literal["model", "folder"] = "model"
+    camera: str | None = None
+    focal_px: float | None = None
+    gravity_sigma_deg: float | None = None
+    position_sigma: tuple[float, ...] | None = None
+    focal_sigma: float | None = None
+    look: bool = True
+    film: FilmOptions = FilmOptions()
+    quiet: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.out.strip():
+            raise OptionError("out is empty, but must be the folder for capture.json")
+        if not self.sources or not all(source.strip() for source in self.sources):
+            raise OptionError("photos is empty, but must be a folder of photographs, or several, or a film")
+        if not 1.0 <= self.index_ratio <= MAX_INDEX_RATIO:
+            wanted = f"must lie between 1 and {MAX_INDEX_RATIO:g} (water: 1.333)"
+            raise OptionError(f"index_ratio is {self.index_ratio:g}, but {wanted}")
+        if self.position_sigma is not None and len(self.position_sigma) != 2:
+            raise OptionError(
+                f"position_sigma is {list(self.position_sigma)}, but must be two: horizontal and vertical"
+            )
+        if self.water_level is not None and self.take_off_above_water is not None:
+            raise OptionError("water_level and take_off_above_water are both given, but one decides the other")
+        if self.camera is not None and self.focal_px is not None:
+            raise OptionError("camera and focal_px are both given, but a calibrated camera has a focal length")
+        require_ranges(
+            self,
+            {
+                "water_level": ANY_ALTITUDE,
+                "take_off_above_water": ANY_ALTITUDE,
+                "focal_px": Range(above=0.0, at_most=1e7),
+                "gravity_sigma_deg": Range(above=0.0, at_most=30.0),
+                "position_sigma": Range(above=0.0, at_most=1e6),
+                "focal_sigma": Range(above=0.0, at_most=1.0),
+            },
+        )
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Every folder, file or pattern."""
+        return (self.photos,) if isinstance(self.photos, str) else self.photos
+
+
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """Photographs of a board from the command line, and what the board is like.
+
+    columns, rows: squares of a charuco board, inner corners of a chessboard. square, marker: sides in any unit.
+    dictionary: of the markers, by OpenCV's name. out: path of the file that is written. quiet: only errors are said.
+    """
+
+    photos: str | tuple[str, ...]
+    out: str
+    columns: int
+    rows: int
+    square: float
+    marker: float | None = None
+    board: Literal["charuco", "chessboard"] = "charuco"
+    dictionary: str = "DICT_4X4_50"
+    model: Literal["opencv", "rational", "fisheye"] = "opencv"
+    quiet: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.out.strip():
+            raise OptionError("out is empty, but must be the path of the camera.json to write")
+        if not self.sources or not all(source.strip() for source in self.sources):
+            raise OptionError("photos is empty, but must be a folder of photographs, or several")
+        side = Range(at_least=2 if self.board == "charuco" else 3, at_most=100)
+        length = Range(above=0.0, at_most=1e6)
+        require_ranges(self, {"columns": side, "rows": side, "square": length, "marker": length})
+        if self.marker is not None and self.marker >= self.square:
+            raise OptionError(f"marker is {self.marker:g}, but must be smaller than the square of {self.square:g}")
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Every folder, file or pattern."""
+        return (self.photos,) if isinstance(self.photos, str) else self.photos

@@ -1,0 +1,84 @@
+"""Positions of a capture: from latitude and longitude into a map's grid, and from there to an origin near by."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from torchrefrac.scene.capture import CaptureError
+
+WGS84 = "EPSG:4326"
+STEP = 1e-4  # degrees to the north, 11 m, along which the grid's north is compared with the true one
+REMEDY = "install torchrefrac[geo], or do without positions"
+
+
+def has_projections() -> bool:
+    """Whether pyproj is there."""
+    return find_spec("pyproj") is not None
+
+
+def zone_of(latitude: Sequence[float], longitude: Sequence[float]) -> str:
+    """The zone of UTM around the middle of some places, as EPSG:32633; south of the equator 327."""
+    angle = np.radians(np.asarray(longitude))
+    middle = float(np.degrees(np.arctan2(np.sin(angle).mean(), np.cos(angle).mean())))
+    zone = int((middle + 180.0) // 6.0) % 60 + 1
+    return f"EPSG:{326 if np.mean(latitude) >= 0.0 else 327}{zone:02d}"
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A projected reference system with axes in m, such as EPSG:32633."""
+
+    crs: str
+
+    def __post_init__(self) -> None:
+        """Raises CaptureError where pyproj does not know it, or it has other axes."""
+        from pyproj import CRS  # noqa: PLC0415 - optional, and slow to import
+        from pyproj.exceptions import CRSError  # noqa: PLC0415
+
+        try:
+            system = CRS.from_user_input(self.crs)
+        except CRSError:
+            problem = "is not known to pyproj; give a code such as EPSG:32633, or none for the zone of UTM"
+            raise CaptureError(f"crs {self.crs!r} {problem}") from None
+        plane = system.sub_crs_list[0] if system.is_compound else system
+        if not plane.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in plane.axis_info):
+            problem = "has no axes in metres; give a projected system, such as the zone of UTM"
+            raise CaptureError(f"crs {self.crs!r} {problem}")
+
+    @cached_property
+    def _from_degrees(self) -> Any:
+        from pyproj import Transformer  # noqa: PLC0415
+
+        return Transformer.from_crs(WGS84, self.crs, always_xy=True)
+
+    def place(
+        self, latitude: Sequence[float], longitude: Sequence[float]
+    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
+        """East and north in m of places in degrees, and the bearing of true north there, in degrees clockwise from the
+        grid's: what is added to a true heading."""
+        here, beyond = (self._transform(np.asarray(latitude) + step, longitude) for step in (0.0, STEP))
+        east, north = (beyond - here).T
+        return here, np.degrees(np.arctan2(east, north))
+
+    def degrees(self, point: Float[np.ndarray, "n 2"]) -> tuple[list[float], list[float], Float[np.ndarray, " n"]]:
+        """Latitude and longitude of points (east, north), and the same bearing there."""
+        longitude, latitude = (part.tolist() for part in self._from_degrees.transform(*point.T, direction="INVERSE"))
+        return latitude, longitude, self.place(latitude, longitude)[1]
+
+    def _transform(self, latitude: Float[np.ndarray, " n"], longitude: Sequence[float]) -> Float[np.ndarray, "n 2"]:
+        east, north = self._from_degrees.transform(np.asarray(longitude, dtype=float), latitude)
+        placed = np.stack((east, north), axis=-1)
+        if not np.isfinite(placed).all():
+            raise CaptureError(f"crs {self.crs!r} does not reach as far as the photographs; give that of their country")
+        return placed
+
+
+def origin_of(position: Float[np.ndarray, "n 3"]) -> tuple[float, float, float]:
+    """Whole metres near the middle of positions; 0 for heights, which are not large."""
+    east, north = np.floor(np.median(position[:, :2], axis=0) + 0.5).tolist()
+    return float(east), float(north), 0.0
