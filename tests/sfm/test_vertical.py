@@ -56,6 +56,35 @@ def test_every_vertical_is_found_to_what_down_sigma_says(unlevelled):
     assert angles(capture, survey).amax() < 3.0 * float(capture.down_sigma[0])
 
 
+def test_verticals_of_some_images_are_completed_from_their_pairs_and_the_others_stay(survey_of):
+    survey = survey_of(cameras=4, points=400, noise=0.3, gravity_error_deg=0.2)
+    unknown = torch.tensor([False, True, False, True])
+    axes = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
+    capture = replace(
+        survey.capture,
+        down_in_cam=torch.where(unknown[:, None], axes, survey.capture.down_in_cam),
+        down_sigma=torch.where(unknown, math.inf, survey.capture.down_sigma),
+    )
+
+    found = level(replace(survey, capture=capture), survey.pairs())
+
+    assert torch.equal(found.down_in_cam[~unknown], survey.capture.down_in_cam[~unknown])
+    assert torch.equal(found.down_sigma[~unknown], survey.capture.down_sigma[~unknown])
+    assert (found.down_sigma[unknown] < math.radians(1.0)).all()
+    assert (angles(found, survey)[unknown] < 3.0 * found.down_sigma[unknown]).all()
+
+
+def test_an_image_that_no_pair_relates_to_the_others_gets_a_vague_vertical(survey_of):
+    survey = survey_of(cameras=3, points=60)
+    sigma = survey.capture.down_sigma.clone()
+    sigma[2] = math.inf
+
+    found = level(replace(survey, capture=replace(survey.capture, down_sigma=sigma)), [])
+
+    assert torch.equal(found.down_in_cam, survey.capture.down_in_cam)
+    assert found.down_sigma.tolist() == [*sigma[:2].tolist(), module.VAGUE_SIGMA]
+
+
 def test_a_vertical_that_contradicts_the_majority_does_not_count():
     down = torch.nn.functional.normalize(
         torch.tensor([[0.0, 0.001, 1.0], [0.0, -0.001, 1.0], [0.5, 0.0, 1.0]], dtype=torch.float64), dim=-1
