@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchrefrac.features import SiftOptions, extract_sift
-from torchrefrac.features.sift import _distinct
+from torchrefrac.features.sift import SMALLEST, _distinct, relative_noise
 
 SIZE, SPACING = 640, 40
 
@@ -100,6 +100,30 @@ def test_of_more_than_are_wanted_the_largest_are_taken_also_fainter_ones():
 
     assert sizes(3) == [(3.6, 0.045), (1.8, 0.5), (1.8, 0.3)]
     assert sizes(2) == [(50.0, 0.011), (3.6, 0.045)]
+
+
+def test_small_keypoints_are_expected_to_err_alike_and_large_ones_by_a_share_of_their_size():
+    noise = relative_noise(torch.tensor((SMALLEST, 2.0 * SMALLEST, 40.0, 80.0), dtype=torch.float64))
+
+    assert noise[0] == pytest.approx(1.0)
+    assert 1.0 < noise[1] < 1.5
+    assert noise[3] / noise[2] == pytest.approx(2.0, rel=0.02)
+
+
+def test_images_of_many_pixels_are_reduced_and_keypoints_placed_in_those_of_the_file(write_image, blobs):
+    image, centers = blobs
+    path, fewer = write_image(image), SiftOptions(max_pixels=SIZE**2 / 3.0)
+
+    features = extract_sift(path, fewer)
+
+    offset = _offsets(features, centers)
+    assert len(offset) >= 0.6 * len(centers)
+    assert offset.norm(dim=-1).median() < 0.1
+    assert offset.mean(dim=0).abs().amax() < 0.05
+    assert float(features.noise.min()) == pytest.approx(3.0**0.5, rel=0.2)
+    used = torch.ones(SIZE, SIZE, dtype=torch.bool)
+    used[:, SIZE // 2 :] = False
+    assert float(extract_sift(path, fewer, used).pixels[:, 0].max()) < SIZE // 2
 
 
 def test_a_blank_image_has_no_features(write_image):

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from torchrefrac.features import Features, PairMatches, build_tracks
-from torchrefrac.features.sift import SMALLEST
 
 
 def _features(*counts):
@@ -119,13 +118,9 @@ def test_an_image_without_features_takes_no_part():
     assert _as_sets(tracks) == [[(0, 0), (2, 1)]]
 
 
-def test_small_keypoints_are_expected_to_err_alike_and_large_ones_by_a_share_of_their_size():
-    small, large = (SMALLEST, 2.0 * SMALLEST), (40.0, 80.0)
-    features = [replace(each, size=torch.tensor((*small, *large)).double()) for each in _features(4, 4)]
+def test_observations_have_the_noise_of_their_keypoints():
+    features = [replace(each, noise=torch.tensor((1.0, 2.0, 5.0)).double()) for each in _features(3, 3)]
 
-    seen, _ = build_tracks(features, [_pair(0, 1, (0, 0), (1, 1), (2, 2), (3, 3))])
+    seen, _ = build_tracks(features, [_pair(0, 1, (0, 2), (2, 1))])
 
-    noise = seen.noise[seen.view == 0]
-    assert noise[0] == pytest.approx(1.0)
-    assert 1.0 < noise[1] < 1.5
-    assert noise[3] / noise[2] == pytest.approx(2.0, rel=0.02)
+    assert seen.noise.tolist() == [1.0, 5.0, 5.0, 2.0]

@@ -1,5 +1,6 @@
 """SIFT keypoints with RootSIFT descriptors."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +19,13 @@ ENOUGH = 300  # unless it has as many
 FAINTEST = 0.125  # share of the contrast threshold that is gone down to
 FAINTEST_LARGE = 0.25  # the same for large keypoints of images that have more than enough
 SMALLEST = 1.8  # diameter of the smallest keypoints, pixels
+BLURRED = 4.0
+"""Diameter of a keypoint, pixels, whose error comes half from its size. Measured on rendered scenes: 0.025 diameters
+from that, 0.05 to 0.09 pixels from the rest (medians)."""
 REACH = 2.5  # diameters; three standard deviations of the widest blur that a keypoint is found in
 
 RANGES = {
+    "max_pixels": Range(at_least=1.0, at_most=1e12),
     "max_features": Range(at_least=1, at_most=10_000_000),
     "octave_layers": Range(at_least=1, at_most=16),
     "contrast_threshold": Range(at_least=0.0, at_most=1.0),
@@ -32,13 +37,15 @@ RANGES = {
 class SiftOptions:
     """OpenCV's SIFT parameters; max_features: the largest, and then also fainter ones among these.
 
-    contrast_threshold: halved, and again, for an image in which hardly anything comes up to it.
+    contrast_threshold: halved, and again, for an image in which hardly anything comes up to it. max_pixels: larger
+    images are reduced to as many.
     """
 
     max_features: int = 8192
     octave_layers: int = 3
     contrast_threshold: float = 0.04
     edge_threshold: float = 10.0
+    max_pixels: float = 10e6
 
     def __post_init__(self) -> None:
         require_ranges(self, RANGES)
@@ -46,12 +53,13 @@ class SiftOptions:
 
 @dataclass(frozen=True)
 class Features:
-    """Keypoints of one image, with unit descriptors, RGB colours and their diameters, pixels."""
+    """Keypoints of one image, with unit descriptors, RGB colours, and how large their errors are expected to be,
+    relative to those of the smallest keypoints of images that were not reduced."""
 
     pixels: Float[Tensor, "k 2"]
     descriptors: Float[Tensor, "k 128"]
     colors: UInt8[Tensor, "k 3"]
-    size: Float[Tensor, " k"]
+    noise: Float[Tensor, " k"]
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -65,30 +73,83 @@ def extract_sift(path: Path, options: SiftOptions, used: Bool[Tensor, "height wi
     `enable_precise_upscale` is on: without it OpenCV places keypoints a quarter of a pixel off. Descriptors are
     RootSIFT (Arandjelovic & Zisserman, CVPR 2012). OpenCV's pixel (0, 0) is (0.5, 0.5) here.
     """
-    image = read_color(path)
+    image, (across, down) = _reduced(read_color(path), options.max_pixels)
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    share = 1.0 if used is None else float(used.double().mean())
+    allowed = None if used is None else _resized_mask(used, grey)
+    share = 1.0 if allowed is None else float(allowed.mean())
     enough = min(share * grey.size / PIXELS_A_KEYPOINT, ENOUGH, options.max_features)
-    sift = cv2.SIFT.create(
-        nOctaveLayers=options.octave_layers,
-        contrastThreshold=FAINTEST * options.contrast_threshold,
-        edgeThreshold=options.edge_threshold,
-        enable_precise_upscale=True,
-    )
-    found = sift.detect(grey, None)
-    if used is not None:
-        found = _usable(found, used, grey)
-    keypoints, descriptors = sift.compute(grey, _distinct(found, options, enough))
+    found = _detect(grey, options, FAINTEST_LARGE, allowed)
+    keypoints = _distinct(found, options, enough)
+    if len(keypoints) < enough:
+        keypoints = _distinct(_detect(grey, options, FAINTEST, allowed), options, enough)
+    keypoints, descriptors = _sift(options, FAINTEST).compute(grey, keypoints)
     if not len(keypoints):
         descriptors = np.zeros((0, 128), dtype=np.float32)
     column, row = _nearest_pixels(keypoints, grey)
     colors = image[row, column, ::-1]
+    size = torch.tensor([keypoint.size for keypoint in keypoints], dtype=torch.float64)
     return Features(
-        pixels=torch.from_numpy(_positions(keypoints)) + 0.5,
+        pixels=(torch.from_numpy(_positions(keypoints)) + 0.5) * torch.tensor((across, down), dtype=torch.float64),
         descriptors=_root_sift(torch.from_numpy(descriptors)),
         colors=torch.from_numpy(np.ascontiguousarray(colors)),
-        size=torch.tensor([keypoint.size for keypoint in keypoints], dtype=torch.float64),
+        noise=math.sqrt(across * down) * relative_noise(size),
     )
+
+
+def relative_noise(size: Float[Tensor, " k"]) -> Float[Tensor, " k"]:
+    """How large errors of keypoints of these diameters, pixels, are expected to be, relative to those of the smallest:
+    detection errs by a share of their diameters, and by what pixels and their noise do to all."""
+    return (1.0 + (size / BLURRED).square()).sqrt() / math.hypot(1.0, SMALLEST / BLURRED)
+
+
+def _reduced(
+    image: UInt8[np.ndarray, "height width 3"], max_pixels: float
+) -> tuple[UInt8[np.ndarray, "rows columns 3"], tuple[float, float]]:
+    """The image, made smaller where it has more pixels, and the width and height of what a pixel of it covers."""
+    height, width = image.shape[:2]
+    share = math.sqrt(max_pixels / (width * height))
+    if share >= 1.0:
+        return image, (1.0, 1.0)
+    columns, rows = max(round(share * width), 1), max(round(share * height), 1)
+    reduced = cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA)
+    return reduced, (width / columns, height / rows)
+
+
+def _resized_mask(
+    used: Bool[Tensor, "height width"], grey: UInt8[np.ndarray, "rows columns"]
+) -> UInt8[np.ndarray, "rows columns"]:
+    """Which pixels of the reduced image show only pixels that may be used."""
+    rows, columns = grey.shape
+    if used.shape == grey.shape:
+        return used.byte().numpy()
+    share = cv2.resize(used.float().numpy(), (columns, rows), interpolation=cv2.INTER_AREA)
+    return (share > 1.0 - 1e-6).astype(np.uint8)
+
+
+def _sift(options: SiftOptions, faintest: float) -> cv2.SIFT:
+    return cv2.SIFT.create(
+        nOctaveLayers=options.octave_layers,
+        contrastThreshold=faintest * options.contrast_threshold,
+        edgeThreshold=options.edge_threshold,
+        enable_precise_upscale=True,
+    )
+
+
+def _detect(
+    grey: UInt8[np.ndarray, "height width"],
+    options: SiftOptions,
+    faintest: float,
+    used: UInt8[np.ndarray, "height width"] | None,
+) -> Sequence[cv2.KeyPoint]:
+    """All keypoints whose contrast comes up to a share of the threshold, and whose place does not depend on what may
+    not be used."""
+    found = _sift(options, faintest).detect(grey, None)  # type: ignore[call-overload]
+    if used is None:
+        return found
+    distance = cv2.distanceTransform(used, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    column, row = _nearest_pixels(found, grey)
+    far = zip(found, distance[row, column].tolist(), strict=True)
+    return [keypoint for keypoint, away in far if away > REACH * keypoint.size]
 
 
 def _distinct(keypoints: Sequence[cv2.KeyPoint], options: SiftOptions, enough: float) -> list[cv2.KeyPoint]:
@@ -107,16 +168,6 @@ def _distinct(keypoints: Sequence[cv2.KeyPoint], options: SiftOptions, enough: f
     rows = distinct.nonzero()[0]
     rows = rows[np.lexsort((-contrast[rows], -size[rows]))]
     return [keypoints[row] for row in rows[: options.max_features]]
-
-
-def _usable(
-    keypoints: Sequence[cv2.KeyPoint], used: Bool[Tensor, "height width"], grey: UInt8[np.ndarray, "height width"]
-) -> list[cv2.KeyPoint]:
-    """Those whose place does not depend on what may not be used."""
-    distance = cv2.distanceTransform(used.byte().numpy(), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    column, row = _nearest_pixels(keypoints, grey)
-    far = zip(keypoints, distance[row, column].tolist(), strict=True)
-    return [keypoint for keypoint, away in far if away > REACH * keypoint.size]
 
 
 def _positions(keypoints: Sequence[cv2.KeyPoint]) -> Float[np.ndarray, "k 2"]:

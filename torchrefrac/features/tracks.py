@@ -1,6 +1,5 @@
 """Tracks: connected components of matches."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,12 +10,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
-from torchrefrac.features.sift import SMALLEST, Features
+from torchrefrac.features.sift import Features
 from torchrefrac.scene import Observations
-
-BLURRED = 4.0
-"""Diameter of a keypoint, pixels, whose error comes half from its size. Measured on rendered scenes: 0.025 diameters
-from that, 0.05 to 0.09 pixels from the rest (medians)."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +31,7 @@ def build_tracks(
 ) -> tuple[Observations, UInt8[Tensor, "n 3"]]:
     """Join matches into tracks over all images: observations of n points, and the mean colour of each.
 
-    Observations ascend by point, then by view, with the noise that the sizes of keypoints let expect. Keypoints of one
+    Observations ascend by point, then by view, with the noise of the keypoints. Keypoints of one
     image at one position (SIFT gives a keypoint several orientations) count as one. A component that has two positions
     in one image is contradictory and dropped whole; so are those of fewer than `min_length` images.
     """
@@ -64,14 +59,8 @@ def build_tracks(
     order = torch.argsort(track * len(features) + image[used])
     used, track = used[order], track[order]
     colors = torch.cat([f.colors for f in features])[used]
-    size = torch.cat([f.size for f in features])[used]
-    return Observations(image[used], track, pixels[used], noise=_noise(size)), _mean_colors(track, colors)
-
-
-def _noise(size: Float[Tensor, " k"]) -> Float[Tensor, " k"]:
-    """How large errors of keypoints are expected to be, relative to those of the smallest: detection errs by a share of
-    their diameters, and by what pixels and their noise do to all."""
-    return (1.0 + (size / BLURRED).square()).sqrt() / math.hypot(1.0, SMALLEST / BLURRED)
+    noise = torch.cat([f.noise for f in features])[used]
+    return Observations(image[used], track, pixels[used], noise=noise), _mean_colors(track, colors)
 
 
 def _mean_colors(track: Int[Tensor, " k"], colors: UInt8[Tensor, "k 3"]) -> UInt8[Tensor, "n 3"]:
