@@ -109,15 +109,15 @@ def test_numbers_of_xmp_are_decimals_or_fractions(text, number):
     assert Xmp(packet(Camera__Yaw=text)).number("Camera:Yaw") == number
 
 
-def test_lists_of_xmp_are_read_in_order():
-    items = "".join(f"<rdf:li>{number}</rdf:li>" for number in (0.1, 0.2, 0.3))
-    text = packet().replace(
-        b"</rdf:Description>",
-        f"<Camera:PerspectiveDistortion><rdf:Seq>{items}</rdf:Seq></Camera:PerspectiveDistortion>"
-        "</rdf:Description>".encode(),
-    )
+@pytest.mark.parametrize("text", ["Green", "<rdf:Seq><rdf:li>Green</rdf:li></rdf:Seq>"])
+def test_a_text_may_stand_in_a_list(text):
+    assert Xmp(packet(True, Camera__BandName=text)).text("Camera:BandName") == "Green"
 
-    assert Xmp(text).numbers("Camera:PerspectiveDistortion") == [0.1, 0.2, 0.3]
+
+def test_structures_without_end_do_not_exhaust_the_stack():
+    nested = packet(True, Camera__A="<Camera:A>" * 20_000 + "</Camera:A>" * 20_000, Camera__Yaw="3")
+
+    assert Xmp(nested).number("Camera:Yaw") == 3.0
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xd8\xff\xe0 no more", b"text", b"II*\0\x08\0\0\0\xff\xff"])

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 MOST_BYTES = 1 << 22
 RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 LISTS = (f"{RDF}Seq", f"{RDF}Bag", f"{RDF}Alt")
+MOST_NESTED = 2  # structures in one another
 DECLARATIONS = (b"<!DOCTYPE", b"<!ENTITY")
 
 
@@ -43,11 +44,6 @@ class Xmp:
         """Of the first of these that is there, as 12.5, +12.5 or 25/2."""
         return as_number(self.text(*names))
 
-    def numbers(self, *names: str) -> list[float]:
-        """The same of a list; empty where one of them is no number."""
-        numbers = [as_number(part) for part in self.text(*names).replace(",", " ").split()]
-        return [] if None in numbers else [number for number in numbers if number is not None]
-
 
 def as_number(text: str) -> float | None:
     """None for what is no number, or not finite."""
@@ -74,19 +70,17 @@ def _texts(packet: bytes) -> Iterator[tuple[str, str]]:
 
 
 def _properties(element: ElementTree.Element, prefixes: Mapping[str, str], path: str) -> Iterator[tuple[str, str]]:
+    """Attributes, elements, lists, and what lies in structures."""
     for name, value in element.attrib.items():
         if not name.startswith(RDF):
             yield path + _name(name, prefixes, path), value.strip()
     for child in element:
         name = path + _name(child.tag, prefixes, path)
         items = [item for kind in LISTS for item in child.findall(f"{kind}/{RDF}li")]
-        if items:
-            yield name, ",".join((item.text or "").strip() for item in items)
-        elif child.tag not in LISTS and child.tag != f"{RDF}Description":
-            yield name, (child.text or "").strip()
-            yield from _properties(child, prefixes, f"{name}/")
-            for inner in child.findall(f"{RDF}Description"):
-                yield from _properties(inner, prefixes, f"{name}/")
+        yield name, ",".join((item.text or "").strip() for item in (items or [child]))
+        if path.count("/") < MOST_NESTED:
+            for structure in (child, *child.findall(f"{RDF}Description")):
+                yield from _properties(structure, prefixes, f"{name}/")
 
 
 def _name(tag: str, prefixes: Mapping[str, str], path: str) -> str:
