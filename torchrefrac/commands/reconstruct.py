@@ -35,12 +35,15 @@ from torchrefrac.sfm import (
     errors_are_rough,
     errors_in_air_and_water,
     level_capture,
+    mostly_land,
     reconstruct_sparse,
     verify_pairs,
     with_right_gravity,
 )
 
 ROUGH = "clearly more matches agree within sfm.rough_error, as over waves, which therefore takes the place of max_error"
+
+LAND = "most of what the photographs show is land, which poses are taken from; the water is looked for afterwards"
 
 StageHook = Callable[[str, Any, float], None]
 
@@ -87,7 +90,8 @@ def reconstruct(
     scene = Scene.of_capture(capture, observations, colors, initializer.index_ratio)
 
     def sparse() -> Scene:
-        found = reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder)
+        water = ratio if options.model.name == "refractive" else 1.0
+        found = reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder, water)
         known = found.assessment
         if found.index_ratio <= 1.0:
             known = replace(known, in_air_and_water=errors_in_air_and_water(found, stated))
@@ -213,6 +217,9 @@ class _Verification:
         found = self._with(capture)
         if gravity_is_measured and isinstance(found.initializer, RefractiveInitializer):
             parts = self.matches, found.pairs, self.features
+            if mostly_land(capture, *parts, found.sfm):
+                self.recorder.note(LAND)
+                return self._with(capture, land=True)
             right = with_right_gravity(capture, *parts, self.ratio, found.sfm, self.recorder)
             found = found if right is capture else self._with(right)
             wide = RefractiveInitializer(found.capture, self.ratio, found.sfm.rough)
@@ -227,9 +234,11 @@ class _Verification:
             )
         return found
 
-    def _with(self, capture: Capture, rough: bool = False) -> _Verified:
+    def _with(self, capture: Capture, rough: bool = False, land: bool = False) -> _Verified:
         options = replace(self.options, sfm=self.options.sfm.rough) if rough else self.options
         initializer, sfm = _initializer(capture, self.ratio, options, self.recorder)
+        if land:
+            initializer = PinholeInitializer(capture, sfm)
         least, chance = self.options.sfm.min_pair_inliers, self.generator
         pairs = verify_pairs(self.matches, self.features, initializer, least, chance, self.recorder)
         return _Verified(capture, initializer, sfm, pairs)

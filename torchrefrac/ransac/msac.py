@@ -199,6 +199,8 @@ class _Search:
         hits = ratio**self.estimator.sample_size / self.estimator.samples_per_hit
         if hits >= 1.0:
             return 0
+        if hits <= 0.0:  # nothing is known of the vertical
+            return self.options.max_samples
         return min(math.ceil(math.log(1.0 - self.options.confidence) / math.log1p(-hits)), self.options.max_samples)
 
 

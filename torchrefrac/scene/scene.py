@@ -43,6 +43,7 @@ class Assessment:
     levels: by how much the water stands higher for some views than for the others, for which it is 0; None where one
     level does for all.
     stopped_after: iterations of the last adjustment, where it stopped before it converged.
+    water_level: height of the water in the frame of the positions that the capture states; None: these are not known.
     in_air_and_water: of a scene without refraction, what its typical reprojection error is and would be under water.
     """
 
@@ -63,6 +64,7 @@ class Assessment:
     disputed: tuple[int, int] = (0, 0)
     levels: Float[Tensor, " m"] | None = None
     stopped_after: int | None = None
+    water_level: float | None = None
     in_air_and_water: tuple[float, float] | None = None
 
     def of_points(self, points: Int[Tensor, " p"]) -> "Assessment":

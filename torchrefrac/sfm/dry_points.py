@@ -86,7 +86,7 @@ def find_dry(scene: Scene, rules: Rules, stated: Int[Tensor, " n"] | None = None
     """
     if not scene.interfaces.refract():
         return None
-    length, sigma = scene.sightings(), _pixel_sigma(scene)
+    length, sigma = scene.sightings(), keypoint_sigma(scene)
     tracks = int((length >= ENOUGH_VIEWS).sum())
     if scene.dry is None and stated is None:
         doubtful = ((length >= ENOUGH_VIEWS) & (_excess(scene, sigma) > CLEAR + DECIDED)).nonzero()[:, 0]
@@ -104,11 +104,12 @@ def find_dry(scene: Scene, rules: Rules, stated: Int[Tensor, " n"] | None = None
     return dry if bool(dry.any()) else None
 
 
-def stated_sides(scene: Scene, extent: WaterExtent, final: Similarity) -> Int[Tensor, " n"]:
+def stated_sides(scene: Scene, extent: WaterExtent, final: Similarity | None) -> Int[Tensor, " n"]:
     """On which side of the stated border of the water each point lies: 1 beyond, -1 within, 0 where that is not known.
 
     Most photographs in which the border is drawn decide, and where these say nothing the border as seen from above, in
-    the frame to which `final` leads. Of tracks that are not placed the place is where their rays meet in air.
+    the frame to which `final` leads (None: that of the scene). Of tracks that are not placed the place is where their
+    rays meet in air.
     """
     seen = scene.observations
     sides = extent.all_votes(seen, len(scene.points)).sign()
@@ -117,7 +118,7 @@ def stated_sides(scene: Scene, extent: WaterExtent, final: Similarity) -> Int[Te
         rows = (scene.views.registered[seen.view] & several[seen.point]).nonzero()[:, 0]
         tracks = Tracks.of(replace(scene, dry=torch.ones_like(scene.placed)), rows)
         points, _, _ = tracks.meet()
-        from_above = 2 * extent.beyond(final.apply(points)).long() - 1
+        from_above = 2 * extent.beyond(points if final is None else final.apply(points)).long() - 1
         sides[tracks.ids] = torch.where(sides[tracks.ids] == 0, from_above, sides[tracks.ids])
     return sides
 
@@ -126,7 +127,7 @@ def disputed(scene: Scene, rules: Rules, stated: Int[Tensor, " n"]) -> tuple[int
     """How many tracks are clearly seen straight though stated to be under water, and the other way round."""
     if not scene.interfaces.refract():
         return 0, 0
-    found = evidence(scene, scene.sightings() >= ENOUGH_VIEWS, rules, _pixel_sigma(scene))
+    found = evidence(scene, scene.sightings() >= ENOUGH_VIEWS, rules, keypoint_sigma(scene))
     sides = stated[found.ids]
     return int((found.clear & (sides < 0)).sum()), int((found.clearly_wet & (sides > 0)).sum())
 
@@ -185,7 +186,7 @@ class _Fit:
         )
 
 
-def _pixel_sigma(scene: Scene) -> float:
+def keypoint_sigma(scene: Scene) -> float:
     """The scale of the errors of accepted observations, from their median."""
     error = scene.errors()[scene.accepted]
     if not len(error):

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.geometry import Similarity, heading_rotation, level_rotation, split_heading
@@ -26,7 +26,7 @@ def final_frame(scene: Scene, capture: Capture) -> Similarity:
     views = scene.views
     registered = views.registered.nonzero()[:, 0]
     refractive = scene.index_ratio > 1.0
-    level = torch.eye(3, dtype=torch.float64) if refractive else _level(scene, capture, registered)
+    level = torch.eye(3, dtype=torch.float64) if refractive else mean_level(scene, capture)
     first = registered[0]
     _, heading = split_heading(views.rotation[first] @ level.T)
     rotation = heading_rotation(heading) @ level
@@ -50,10 +50,20 @@ def transformed(scene: Scene, change: Similarity) -> Scene:
     return replace(scene, views=views.at(rotation, center, which), points=change.apply(scene.points))
 
 
-def _level(scene: Scene, capture: Capture, registered: Int[Tensor, " r"]) -> Float[Tensor, "3 3"]:
+def with_water_at_zero(scene: Scene) -> tuple[Scene, float]:
+    """The scene, whose level surfaces stand at any height, with the first at z = 0; and by how much it came down."""
+    offset = scene.interfaces.offset[0]
+    one, none = torch.ones_like(offset), torch.zeros_like(offset)
+    lowered = transformed(scene, Similarity(one, torch.eye(3).to(offset), torch.stack((none, none, -offset))))
+    surfaces = replace(scene.interfaces, offset=scene.interfaces.offset - offset)
+    return replace(lowered, interfaces=surfaces), float(offset)
+
+
+def mean_level(scene: Scene, capture: Capture) -> Float[Tensor, "3 3"]:
     """Rotation of the world that takes the mean measured gravity (the mean optical axis, where none of the registered
     views has any) to (0, 0, -1): the shortest, after half a turn about x where the world stands on its head.
     """
+    registered = scene.views.registered.nonzero()[:, 0]
     known = registered[capture.down_sigma[registered].isfinite()]
     registered = known if len(known) else registered
     rotation = scene.views.rotation[registered]

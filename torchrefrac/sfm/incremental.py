@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from torchrefrac.bundle import GravityPrior, Term
+from torchrefrac.bundle import BundleOptions, GravityPrior, Term
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
@@ -23,13 +23,15 @@ from torchrefrac.sfm.adjust import (
 )
 from torchrefrac.sfm.dry_points import disputed, find_dry, same_dry, stated_sides, with_dry
 from torchrefrac.sfm.filter_points import affordable_length, filter_points
-from torchrefrac.sfm.frame import final_frame, fix_frame
+from torchrefrac.sfm.frame import final_frame, fix_frame, with_water_at_zero
 from torchrefrac.sfm.gravity import worst_gravity
+from torchrefrac.sfm.land import flooded
 from torchrefrac.sfm.levels import with_levels
 from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.pose import PoseInitializer
 from torchrefrac.sfm.register import MIN_INITIAL_POINTS, rank_initial_pairs, register, start, visible_points
 from torchrefrac.sfm.rules import Rules, SfmOptions
+from torchrefrac.sfm.stated_positions import Positions, placed_by_positions
 from torchrefrac.sfm.triangulate import triangulate
 from torchrefrac.sfm.verification import VerifiedPair
 
@@ -49,27 +51,25 @@ def reconstruct_sparse(
     options: SfmOptions,
     generator: torch.Generator,
     recorder: Recorder,
+    water: float = 1.0,
 ) -> Scene:
     """Views and points from verified pairs and the tracks of `scene`, in which nothing has a place yet.
 
-    Views that cannot be registered are listed in `failures` with the reason. Raises NoInitialPairError when there is
-    nothing to start from.
+    Where the capture states positions the scene is adjusted with these and stands in their frame, but with the water at
+    z = 0. water: index ratio of that which may be beside the land, by which a scene without refraction is reconstructed
+    at first. Views that cannot be registered are listed in `failures` with the reason. Raises NoInitialPairError when
+    there is nothing to start from.
     """
 
-    def gravity(part: Part) -> Sequence[Term]:
-        """A prior where there is refraction to see the plane by."""
-        if scene.index_ratio <= 1.0:
-            return ()
-        return (GravityPrior(capture.down_in_cam[part.view], growth.down_sigma[part.view]),)
-
-    growth = _Growth(capture, options, options.rules(initializer, gravity, generator), recorder)
+    growth = _Growth(scene, capture, options, recorder, water)
+    growth.rules = growth.final = options.rules(initializer, growth.measured, generator)
     scene = growth.start(scene, pairs)
     remaining = len(capture) - scene.views.num_registered
     for grown in recorder.track(growth.register_all(scene), remaining, "registering", "image"):
         scene = grown
     scene = growth.finish(scene)
     with recorder.meter(1, "assessing", "") as advance:
-        scene = fix_frame(scene, capture)
+        scene = scene if growth.positions is not None else fix_frame(scene, capture)
         growth.show(scene)
         rules = growth.final
         assessment = assess_scene(scene, rules, growth.fixed)
@@ -78,22 +78,37 @@ def reconstruct_sparse(
             assessment = replace(assessment, disputed=disputed(scene, rules, sides))
         assessment = with_levels(assessment, scene, rules, growth.fixed)
         advance(1, "")
-    assessment = replace(assessment, stopped_after=growth.stopped_after)
+    level = None if growth.positions is None or not scene.interfaces.refract() else growth.positions.level
+    assessment = replace(assessment, stopped_after=growth.stopped_after, water_level=level)
     return replace(scene.trimmed(), failures=growth.failures, assessment=assessment)
 
 
 class _Growth:
     """The order of the steps of one reconstruction, and what they share."""
 
-    def __init__(self, capture: Capture, options: SfmOptions, rules: Rules, recorder: Recorder) -> None:
-        self.capture, self.options, self.rules, self.recorder = capture, options, rules, recorder
+    rules: Rules
+    final: Rules
+    """With the noise and the errors that the last adjustment has shown."""
+
+    def __init__(
+        self, scene: Scene, capture: Capture, options: SfmOptions, recorder: Recorder, water: float = 1.0
+    ) -> None:
+        self.capture, self.options, self.recorder, self.water = capture, options, recorder, water
         self.down_sigma = capture.down_sigma  # infinite where gravity turns out to be wrong
+        self.sees_vertical = scene.index_ratio > 1.0
+        self.positions: Positions | None = None
         self.failures: dict[str, str] = {}
         self.fixed: dict[str, str] = {}
         self.stopped_after: int | None = None
-        self.final = rules  # with the noise and the errors that the last adjustment has shown
         self._refused: dict[int, int] = {}  # views that could not be registered, and the points they saw then
         self.journal = Journal(recorder)
+
+    def measured(self, part: Part) -> Sequence[Term]:
+        """Gravity where there is something to see the vertical by, and positions, once the scene is in their frame."""
+        terms: list[Term] = []
+        if self.sees_vertical:
+            terms.append(GravityPrior(self.capture.down_in_cam[part.view], self.down_sigma[part.view]))
+        return terms if self.positions is None else [*terms, *self.positions.terms(part)]
 
     def start(self, empty: Scene, pairs: Sequence[VerifiedPair]) -> Scene:
         for pair in rank_initial_pairs(pairs, self.options):
@@ -166,7 +181,41 @@ class _Growth:
             most = 2 * int((unknown & scene.views.registered).sum()) > scene.views.num_registered
             self.down_sigma = torch.where(unknown | most, torch.inf, self.down_sigma)
             scene = self._converged(scene, rules)
-        return self._with_dry(scene, replace(rules, max_error=self.final.max_error))
+        scene = self._with_positions(scene, rules)
+        scene = self._with_water(scene, length)
+        return self._with_dry(scene, replace(self.rules, min_track_length=length, max_error=self.final.max_error))
+
+    def _with_positions(self, scene: Scene, rules: Rules) -> Scene:
+        """Adjusted with the positions that are stated, the height of the water among these being what images say."""
+        found = placed_by_positions(scene, self.capture)
+        if found is None:
+            return scene
+        scene, positions = found
+        self.positions, self.sees_vertical = positions.of_most(scene), True
+        if scene.interfaces.refract():
+            self.rules = replace(self.rules, bundle=_with_height(self.rules.bundle))
+        return self._at_zero(self._converged(scene, replace(self.rules, min_track_length=rules.min_track_length)))
+
+    def _with_water(self, scene: Scene, length: int | Int[Tensor, " n"]) -> Scene:
+        """A scene of land with the water beside it, where there is any."""
+        if self.water <= 1.0:
+            return scene
+        level = scene if self.positions is not None else fix_frame(scene, self.capture)
+        found = flooded(level, self.water, self.final)
+        if found is None:
+            return scene
+        self.sees_vertical = True
+        if self.positions is not None:
+            self.rules = replace(self.rules, bundle=_with_height(self.rules.bundle))
+        return self._at_zero(self._converged(self._at_zero(found), replace(self.rules, min_track_length=length)))
+
+    def _at_zero(self, scene: Scene) -> Scene:
+        """With the water at z = 0, and positions likewise."""
+        if not scene.interfaces.refract():
+            return scene
+        scene, by = with_water_at_zero(scene)
+        self.positions = self.positions and self.positions.lowered(by)
+        return scene
 
     def _with_dry(self, scene: Scene, rules: Rules) -> Scene:
         """With those points seen straight that are, and everything adjusted to that, until no more are found."""
@@ -180,7 +229,10 @@ class _Growth:
     def sides(self, scene: Scene) -> Int[Tensor, " n"] | None:
         """On which side of the border of the water the points lie, where one is stated."""
         extent = self.capture.water_extent
-        return None if extent is None else stated_sides(scene, extent, final_frame(scene, self.capture))
+        if extent is None:
+            return None
+        in_place = self.positions is not None
+        return stated_sides(scene, extent, None if in_place else final_frame(scene, self.capture))
 
     def _converged(self, scene: Scene, rules: Rules) -> Scene:
         """Points and observations judged and everything adjusted, in turn, until little changes any more."""
@@ -217,3 +269,8 @@ class _Growth:
         """The accepted points (of which at most this many), where anyone wants to see them."""
         ids = torch.unique_consecutive(scene.observations.point[scene.accepted])
         self.journal.show("sparse", scene, ids, most)
+
+
+def _with_height(bundle: BundleOptions) -> BundleOptions:
+    """With the height of the water free, which positions fix in their frame."""
+    return replace(bundle, refine=tuple(dict.fromkeys((*bundle.refine, "plane_height"))))

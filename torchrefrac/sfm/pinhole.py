@@ -31,7 +31,11 @@ PAIR_SOLVER = LevenbergMarquardtOptions(max_iterations=8, function_tolerance=1e-
 
 @dataclass(frozen=True)
 class PinholeInitializer:
-    """Ordinary pinhole poses, as a reconstruction that ignores the water finds them. Gravity only levels the frame."""
+    """Ordinary pinhole poses, as a reconstruction that ignores the water finds them. Gravity only levels the frame.
+
+    Of cameras whose intrinsics are uncertain those matches agree that have any epipolar geometry in common: what
+    intrinsics that are not yet adjusted make of the pair may be many pixels off.
+    """
 
     capture: Capture
     options: SfmOptions
@@ -47,7 +51,7 @@ class PinholeInitializer:
         capture, options = self.capture, self.options.ransac
         plane1, plane2 = capture.planes(images, pixels)
         threshold = options.max_error / capture.typical_focal(*images)
-        found = essential_pose(plane1, plane2, cv2.RANSAC, options.confidence, threshold)
+        found = essential_pose(plane1, plane2, cv2.USAC_DEFAULT, options.confidence, threshold)
         if found is None:
             return None
         relative, translation, inliers = found
@@ -57,7 +61,11 @@ class PinholeInitializer:
         rotation = torch.stack((cam1_from_world, relative @ cam1_from_world))
         pose = Rigid(rotation, torch.stack((first, first + baseline)))
         cameras, camera = capture.cameras, capture.camera[list(images)]
-        return refine_pair(pose, pixels, inliers, cameras, camera, self.options.bundle, options.max_error)
+        found = refine_pair(pose, pixels, inliers, cameras, camera, self.options.bundle, options.max_error)
+        if not cameras.are_uncertain:
+            return found
+        agree = torch.zeros_like(inliers).index_fill(0, fundamental_consensus(*pixels, options.max_error), True)
+        return replace(found, inliers=agree | found.inliers, straight=None)
 
     def absolute(
         self,
