@@ -28,6 +28,6 @@ def test_each_camera_has_a_row_with_what_was_found():
 
     assert [[cell.text for cell in row] for row in found.rows] == [
         ["phone", "opencv", "640 \u00d7 480", "4", "400 \u00b1 4", "417.0 \u00b1 0.2"],
-        ["gopro", "fisheye", "48 \u00d7 64", "4", "30", "as stated"],
+        ["gopro", "fisheye", "48 \u00d7 64", "4", "30.000", "as stated"],
     ]
     assert cameras(replace(contents, capture=capture)) is None
