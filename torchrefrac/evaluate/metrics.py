@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrefrac.evaluate.point_errors import point_metrics
 from torchrefrac.evaluate.true_surface import TrueSurface
 from torchrefrac.geometry import Similarity, align_above_plane, align_similarity, so3_log
-from torchrefrac.scene import Scene, Truth
+from torchrefrac.scene import Cameras, Scene, Truth
 from torchrefrac.scene.tables import ONLY
 
 MIN_SIMILARITY_CAMERAS = 3
@@ -51,7 +51,7 @@ def intrinsics_metrics(scene: Scene) -> dict[str, Any]:
     by one factor), `camera_NAME_principal_point_px` and `camera_NAME_distortion` (as many coefficients as were
     refined), and standard deviations with `_sigma` before the unit. Without NAME where nobody gave the camera one."""
     cameras, metrics = scene.cameras, {}
-    for row, prefix in enumerate(["camera"] if cameras.names == (ONLY,) else [f"camera_{n}" for n in cameras.names]):
+    for row, prefix in enumerate(camera_prefixes(cameras)):
         for name, sigmas in scene.assessment.intrinsics_sigma.items():
             sigma = sigmas[row]
             if not bool((sigma > 0.0).any()):
@@ -66,6 +66,11 @@ def intrinsics_metrics(scene: Scene) -> dict[str, Any]:
                 metrics[f"{prefix}_distortion"] = cameras.distortion[row, : len(sigma)].tolist()
                 metrics[f"{prefix}_distortion_sigma"] = sigma.tolist()
     return metrics
+
+
+def camera_prefixes(cameras: Cameras) -> list[str]:
+    """How the metrics of each camera begin."""
+    return ["camera"] if cameras.names == (ONLY,) else [f"camera_{name}" for name in cameras.names]
 
 
 def evaluate(scene: Scene, truth: Truth) -> tuple[dict[str, float | int | str], Similarity | None]:

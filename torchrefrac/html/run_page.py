@@ -9,7 +9,7 @@ from torchrefrac.figures.residuals import Residuals
 from torchrefrac.html import drawn, words
 from torchrefrac.html.contents import RunContents, read_contents
 from torchrefrac.html.page import write_page
-from torchrefrac.html.tables import REPORT, Entry, files_of, photograph_heads, photographs, table1, timings
+from torchrefrac.html.tables import REPORT, Entry, cameras, files_of, photograph_heads, photographs, table1, timings
 from torchrefrac.record.summary import dense_lines
 from torchrefrac.scene import Truth
 from torchrefrac.sweeps.design import MOST_PANELS
@@ -47,6 +47,7 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
         dense_words=_dense_words(record.metrics),
         determined=_determined(record.metrics),
         held=list((record.metrics.get("held") or {}).values()),
+        cameras=cameras(contents),
         heads=photograph_heads(contents),
         photographs=photographs(contents, residuals),
         timings=timings(record),

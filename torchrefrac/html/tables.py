@@ -6,6 +6,7 @@ from pathlib import Path
 
 import torch
 
+from torchrefrac.evaluate.metrics import camera_prefixes
 from torchrefrac.figures.residuals import Residuals
 from torchrefrac.figures.shift import off_nadir
 from torchrefrac.figures.uncertainty import true_errors
@@ -81,6 +82,23 @@ def table1(entries: Sequence[Entry], unit: str, marked: int | None = None) -> Ta
 def _index_ratio(record: RunRecord) -> str:
     ratio = record.number("index_ratio") if record.model == "refractive" else None
     return UNKNOWN if ratio is None else with_sigma(ratio, record.number("index_ratio_sigma"))
+
+
+def cameras(contents: RunContents) -> Table | None:
+    """The cameras of the capture, as stated and as found; None where there is one that counts as exact."""
+    capture, scene = contents.capture, contents.scene
+    if capture is None or (len(capture.cameras) == 1 and not capture.cameras.are_uncertain):
+        return None
+    stated, rows = capture.cameras, []
+    for row, prefix in enumerate(camera_prefixes(stated)):
+        focal, (width, height) = float(stated.focal[row, 0]), stated.sizes[row]
+        found, sigma = (contents.record.number(f"{prefix}_focal{of}_px") for of in ("", "_sigma"))
+        texts = [stated.names[row], stated.models[row], f"{width} \u00d7 {height}"]
+        texts.append(str(int((capture.camera == row).sum())))
+        texts.append(with_sigma(focal, focal * float(stated.focal_sigma[row])))
+        texts.append(UNKNOWN if scene is None else "as stated" if found is None else with_sigma(found, sigma))
+        rows.append([Cell(text) for text in texts])
+    return Table(["camera", "model", "size (px)", "photographs", "focal length stated (px)", "found (px)"], rows)
 
 
 @dataclass(frozen=True)
