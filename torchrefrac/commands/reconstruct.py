@@ -91,7 +91,7 @@ def reconstruct(
 
     def sparse() -> Scene:
         water = ratio if options.model.name == "refractive" else 1.0
-        found = reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder, water)
+        found = reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder, water, features)
         known = found.assessment
         if found.index_ratio <= 1.0:
             known = replace(known, in_air_and_water=errors_in_air_and_water(found, stated))

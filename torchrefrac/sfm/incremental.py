@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchrefrac.bundle import BundleOptions, GravityPrior, Term
 from torchrefrac.checks import TorchrefracError
+from torchrefrac.features import Features
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, Part, Scene
@@ -21,6 +22,7 @@ from torchrefrac.sfm.adjust import (
     with_errors_found,
     with_noise_found,
 )
+from torchrefrac.sfm.complete_tracks import complete_tracks
 from torchrefrac.sfm.dry_points import disputed, find_dry, same_dry, stated_sides, with_dry
 from torchrefrac.sfm.filter_points import affordable_length, filter_points
 from torchrefrac.sfm.frame import final_frame, fix_frame, with_water_at_zero
@@ -52,16 +54,18 @@ def reconstruct_sparse(
     generator: torch.Generator,
     recorder: Recorder,
     water: float = 1.0,
+    features: Sequence[Features] = (),
 ) -> Scene:
     """Views and points from verified pairs and the tracks of `scene`, in which nothing has a place yet.
 
     Where the capture states positions the scene is adjusted with these and stands in their frame, but with the water at
     z = 0. water: index ratio of that which may be beside the land, by which a scene without refraction is reconstructed
-    at first. Views that cannot be registered are listed in `failures` with the reason. Raises NoInitialPairError when
+    at first. features: of each image, in which tracks are completed once poses are known; by default they stay as they
+    are. Views that cannot be registered are listed in `failures` with the reason. Raises NoInitialPairError when
     there is nothing to start from.
     """
 
-    growth = _Growth(scene, capture, options, recorder, water)
+    growth = _Growth(scene, capture, options, recorder, water, features)
     growth.rules = growth.final = options.rules(initializer, growth.measured, generator)
     scene = growth.start(scene, pairs)
     remaining = len(capture) - scene.views.num_registered
@@ -91,9 +95,16 @@ class _Growth:
     """With the noise and the errors that the last adjustment has shown."""
 
     def __init__(
-        self, scene: Scene, capture: Capture, options: SfmOptions, recorder: Recorder, water: float = 1.0
+        self,
+        scene: Scene,
+        capture: Capture,
+        options: SfmOptions,
+        recorder: Recorder,
+        water: float = 1.0,
+        features: Sequence[Features] = (),
     ) -> None:
         self.capture, self.options, self.recorder, self.water = capture, options, recorder, water
+        self.features = features
         self.down_sigma = capture.down_sigma  # infinite where gravity turns out to be wrong
         self.sees_vertical = scene.index_ratio > 1.0
         self.positions: Positions | None = None
@@ -166,6 +177,7 @@ class _Growth:
     def finish(self, scene: Scene) -> Scene:
         """Adjust to convergence, with only the points that enough views see; and again without the gravity of views
         that the others contradict, for as long as there are such; without any if most are contradicted."""
+        scene = self._complete(scene)
         length = affordable_length(scene, self.rules, self.options.min_track_length)
         rules = replace(self.rules, min_track_length=length)
         scene = self._converged(scene, rules)
@@ -249,6 +261,13 @@ class _Growth:
                     rules = with_errors_found(rules, outcome.report, self.options.least_error)
         self.final = replace(self.rules, bundle=rules.bundle, max_error=rules.max_error)
         return self._filter(scene, rules)
+
+    def _complete(self, scene: Scene) -> Scene:
+        """With more observations of the points, also of those that two views see, now that all poses are known."""
+        if not self.features:
+            return scene
+        completed = complete_tracks(scene, self.features, self.options.max_error)
+        return self._filter(triangulate(completed, self.rules)[0], self.rules)
 
     def _filter(self, scene: Scene, rules: Rules) -> Scene:
         """Drop points that do not fit, and views that are left with next to none."""

@@ -1,0 +1,163 @@
+"""More observations of points that have a place: keypoints which the descriptors alone did not match, but which lie
+where the point is seen in an image and look like it. Two tracks that turn out to be of one point become one.
+
+Descriptors are compared with those of a few keypoints about one place and not with all of an image, so that a match may
+be less distinct than one that nothing guides.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from torchrefrac.features import Features
+from torchrefrac.numerics import segment_sum
+from torchrefrac.scene import Observations, Scene
+
+CANDIDATES = 6
+"""Keypoints about a place, of which several may lie in one (of different orientations)."""
+SIMILAR = 0.755
+"""Least scalar product of descriptors: those of one point are nearer than 0.7."""
+DISTINCT = 0.8
+"""Times the distance of the next candidate's descriptor, within which that of the chosen one must be."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Keypoints `keypoint` of a view that show points `point`, and how similar they are."""
+
+    point: Int[Tensor, " k"]
+    keypoint: Int[Tensor, " k"]
+    similarity: Float[Tensor, " k"]
+
+
+def complete_tracks(scene: Scene, features: Sequence[Features], radius: float) -> Scene:
+    """The scene with further observations within `radius` pixels of where its placed points are seen, and with tracks
+    joined that these show to be of one point. Nothing new is accepted yet. features: those of each view."""
+    seen = scene.observations
+    keypoint = _keypoints_of(seen, features)
+    descriptor = _mean_descriptors(scene, features, keypoint)
+    extra: list[Observations] = []
+    joined: list[Int[Tensor, "2 _"]] = []
+    for view in scene.views.registered.nonzero()[:, 0].tolist():
+        own = (seen.view == view).nonzero()[:, 0]
+        found = _look(scene, view, seen.point[own], features[view], descriptor, radius)
+        if not len(found.point):
+            continue
+        owner = torch.full((len(features[view]),), -1, dtype=torch.long)
+        owner[keypoint[own]] = seen.point[own]
+        of = owner[_first_at(features[view].pixels)][found.keypoint]
+        joined.append(torch.stack((found.point[of >= 0], of[of >= 0])))
+        free = found.keypoint[of < 0]
+        pixels, noise = features[view].pixels[free], features[view].noise[free]
+        extra.append(Observations(torch.full_like(free, view), found.point[of < 0], pixels, noise=noise))
+    return _merged(scene, extra, joined)
+
+
+def _look(
+    scene: Scene,
+    view: int,
+    there: Int[Tensor, " o"],
+    features: Features,
+    descriptor: Float[Tensor, "n 128"],
+    radius: float,
+) -> _Found:
+    """What a view shows of the points that it is not known to see: not those that are `there`."""
+    none = torch.zeros(0, dtype=torch.long)
+    wanted = scene.placed.clone()
+    wanted[there] = False
+    point = wanted.nonzero()[:, 0]
+    if not len(point) or not len(features):
+        return _Found(none, none, torch.zeros(0))
+    camera = scene.camera_of(torch.full_like(point, view), point)
+    pixels, inside = camera.project(scene.points[point], inside_image=True)
+    point, pixels = point[inside], pixels[inside]
+    tree = KDTree(features.pixels.numpy())
+    _, near = tree.query(pixels.numpy(), k=CANDIDATES, distance_upper_bound=radius)
+    near = torch.from_numpy(near.astype(np.int64)).reshape(len(point), CANDIDATES)
+    exists = near < len(features)
+    near = near.clamp(max=len(features) - 1)
+    similarity = torch.einsum("kd,kcd->kc", descriptor[point], features.descriptors[near])
+    similarity = torch.where(exists, similarity, -1.0)
+    best, which = similarity.max(dim=1)
+    chosen = near.gather(1, which[:, None])
+    place = _first_at(features.pixels)
+    elsewhere = torch.where(place[near] == place[chosen], -1.0, similarity).amax(dim=1)
+    distinct = (1.0 - best) < DISTINCT**2 * (1.0 - elsewhere)
+    good = (best > SIMILAR) & distinct & scene.placed[point]
+    return _best_of_each(_Found(point[good], chosen[good, 0], best[good]), place)
+
+
+def _best_of_each(found: _Found, place: Int[Tensor, " f"]) -> _Found:
+    """Of points that want keypoints in one place, the most similar one."""
+    order = found.similarity.argsort(descending=True)
+    _, first = np.unique(place[found.keypoint[order]].numpy(), return_index=True)
+    rows = order[torch.from_numpy(first)]
+    return _Found(found.point[rows], found.keypoint[rows], found.similarity[rows])
+
+
+def _keypoints_of(seen: Observations, features: Sequence[Features]) -> Int[Tensor, " k"]:
+    """The first keypoint at each observation's pixel."""
+    keypoint = torch.zeros_like(seen.view)
+    for view, of_view in enumerate(features):
+        rows = (seen.view == view).nonzero()[:, 0]
+        if len(rows):
+            _, nearest = KDTree(of_view.pixels.numpy()).query(seen.pixels[rows].numpy())
+            keypoint[rows] = _first_at(of_view.pixels)[torch.from_numpy(np.asarray(nearest))]
+    return keypoint
+
+
+def _first_at(pixels: Float[Tensor, "f 2"]) -> Int[Tensor, " f"]:
+    """For each keypoint the first one of its image in its place."""
+    _, first, group = np.unique(pixels.numpy(), axis=0, return_index=True, return_inverse=True)
+    return torch.from_numpy(first[group.reshape(-1)])
+
+
+def _mean_descriptors(
+    scene: Scene, features: Sequence[Features], keypoint: Int[Tensor, " k"]
+) -> Float[Tensor, "n 128"]:
+    """Of the accepted observations of each point, of length one."""
+    seen = scene.observations
+    total = torch.zeros(len(scene.points), features[0].descriptors.shape[1])
+    for view, of_view in enumerate(features):
+        rows = (scene.accepted & (seen.view == view)).nonzero()[:, 0]
+        total += segment_sum(of_view.descriptors[keypoint[rows]], seen.point[rows], len(total))
+    return torch.nn.functional.normalize(total, dim=-1)
+
+
+def _merged(scene: Scene, extra: Sequence[Observations], joined: Sequence[Int[Tensor, "2 _"]]) -> Scene:
+    """With the further observations, and with one track in place of those that are joined unless they have two places
+    in one image."""
+    seen, n, m = scene.observations, len(scene.points), len(scene.views)
+    track = _components(torch.cat((*joined, torch.zeros(2, 0, dtype=torch.long)), dim=1), n)
+    key, times = torch.unique(track[seen.point] * m + seen.view, return_counts=True)
+    contradictory = torch.zeros(n, dtype=torch.bool)
+    contradictory[key[times > 1] // m] = True
+    track = torch.where(contradictory[track], torch.arange(n), track)
+    view, point, pixels, noise = (
+        torch.cat([getattr(each, name) for each in (seen, *extra)]) for name in ("view", "point", "pixels", "noise")
+    )
+    accepted = torch.cat((scene.accepted, torch.zeros(len(view) - len(seen), dtype=torch.bool)))
+    key = track[point] * m + view
+    order = torch.argsort(key, stable=True)  # of two observations in one view the older one comes first
+    order = order[torch.cat((torch.ones(1, dtype=torch.bool), key[order].diff() > 0))] if len(order) else order
+    observations = Observations(view[order], track[point][order], pixels[order], noise=noise[order])
+    points, had_place = scene.points.clone(), scene.placed.nonzero()[:, 0]
+    points[track[had_place]] = scene.points[had_place]
+    placed = torch.zeros_like(scene.placed).index_fill(0, track[had_place], True)
+    return replace(scene, points=points, placed=placed, observations=observations, accepted=accepted[order])
+
+
+def _components(edges: Int[Tensor, "2 e"], n: int) -> Int[Tensor, " n"]:
+    """For each of n points the first of those that it hangs together with."""
+    first, second = edges.numpy()
+    graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(n, n))
+    label = torch.from_numpy(connected_components(graph, directed=False)[1].astype(np.int64))
+    least = torch.full((n,), n, dtype=torch.long).scatter_reduce(0, label, torch.arange(n), "amin")
+    return least[label]
