@@ -1,4 +1,4 @@
-"""Focal lengths that were stated grossly wrong."""
+"""Focal lengths that were stated grossly wrong, and those that nobody knows."""
 
 import math
 from dataclasses import replace
@@ -8,7 +8,7 @@ import torch
 
 from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.scene import Assessment, Cameras
-from torchrefrac.sfm import SfmOptions, better_focal
+from torchrefrac.sfm import SfmOptions, better_focal, with_likely_focals
 
 
 @pytest.fixture
@@ -61,3 +61,31 @@ def test_with_a_grossly_wrong_focal_length_nothing_else_is_judged(stated):
     (found,) = contradictions(scene, replace(survey.capture, down_in_cam=upside_down))
     assert found.code == "intrinsics_contradict"
     assert "near 667 px" in found.message
+
+
+def _likely(survey, sigma=0.3, **changes):
+    cameras = replace(survey.capture.cameras, focal_sigma=torch.tensor([sigma], dtype=torch.float64))
+    capture = replace(survey.capture, cameras=cameras, **changes)
+    known = survey.pairs(), survey.features(), survey.basin.index_ratio, SfmOptions()
+    return capture, with_likely_focals(capture, *known)
+
+
+@pytest.mark.parametrize("factor", [0.45, 2.2])
+def test_a_focal_length_that_nobody_knows_is_found_before_anything_is_placed(stated, factor):
+    survey = stated(factor)
+
+    given, found = _likely(survey)
+
+    wanted = survey.basin.lens.focal
+    assert abs(float((found.cameras.focal[0] / wanted).log()[0])) < 0.15
+    assert found.cameras.stated is given.cameras  # about which the prior is
+    assert torch.equal(found.cameras.focal_sigma, given.cameras.focal_sigma)
+
+
+def test_a_focal_length_that_is_known_or_cannot_be_found_stays(stated):
+    survey = stated(2.0)
+    unlevelled = torch.full_like(survey.capture.down_sigma, math.inf)
+
+    for sigma, changes in ((0.0, {}), (0.05, {}), (0.3, {"down_sigma": unlevelled})):
+        given, found = _likely(survey, sigma, **changes)
+        assert found is given

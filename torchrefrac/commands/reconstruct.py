@@ -38,6 +38,7 @@ from torchrefrac.sfm import (
     mostly_land,
     reconstruct_sparse,
     verify_pairs,
+    with_likely_focals,
     with_right_gravity,
 )
 
@@ -73,12 +74,15 @@ def reconstruct(
     features = stage("features", lambda: _extract(capture, options, recorder))
     matches = stage.part("matching", lambda: _match(features, options, recorder))
     ratio, stated = options.water.ratio_of(capture.index_ratio), capture
-    if options.model.name == "refractive" and ratio > 1.0 and bool(capture.down_sigma.isinf().any()):
-        given, how = capture, options.sfm
-        try:
-            capture = stage("levelling", lambda: level_capture(given, matches, features, ratio, how, recorder))
-        except UnknownVerticalError as error:
-            raise ReconstructionError(str(error)) from None
+    if options.model.name == "refractive" and ratio > 1.0:
+        known = matches, features, ratio, options.sfm
+        capture = stage.part("matching", lambda: with_likely_focals(stated, *known))
+        given = capture
+        if bool(given.down_sigma.isinf().any()):
+            try:
+                capture = stage("levelling", lambda: level_capture(given, *known, recorder))
+            except UnknownVerticalError as error:
+                raise ReconstructionError(str(error)) from None
     verify = _Verification(matches, features, ratio, options, generator, recorder)
     levelled = capture
     capture, initializer, sfm, pairs = stage.part("matching", lambda: verify(levelled, stated.has_gravity))
@@ -95,7 +99,7 @@ def reconstruct(
         known = found.assessment
         if found.index_ratio <= 1.0:
             known = replace(known, in_air_and_water=errors_in_air_and_water(found, stated))
-        elif (focal := better_focal(found, stated, matches, features, sfm)) is not None:
+        elif (focal := better_focal(found, replace(stated, cameras=found.cameras), matches, features, sfm)) is not None:
             known = replace(known, wished={"focal": focal})
         found = replace(found, assessment=known)
         return replace(found, findings=(*contradictions(found, stated), *doubts(stated)))

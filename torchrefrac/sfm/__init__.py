@@ -3,7 +3,7 @@ return a new scene and how it went. `reconstruct_sparse` and `readjust` are two 
 
 from torchrefrac.sfm.adjust import adjust, with_noise_found
 from torchrefrac.sfm.filter_points import filter_points
-from torchrefrac.sfm.focal import better_focal
+from torchrefrac.sfm.focal import better_focal, with_likely_focals
 from torchrefrac.sfm.gravity import with_right_gravity
 from torchrefrac.sfm.incremental import NoInitialPairError, reconstruct_sparse
 from torchrefrac.sfm.land import mostly_land
@@ -25,6 +25,6 @@ __all__ = [
     "PoseInitializer", "ReadjustOptions", "RefractiveInitializer", "Registration", "Rules", "SfmOptions", "Start",
     "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal", "errors_are_rough",
     "errors_in_air_and_water", "filter_points", "level_capture", "mostly_land", "readjust", "reconstruct_sparse",
-    "register", "start",
-    "triangulate", "verify_pairs", "with_found_level", "with_noise_found", "with_right_gravity",
+    "register", "start", "triangulate", "verify_pairs", "with_found_level", "with_likely_focals", "with_noise_found",
+    "with_right_gravity",
 ]  # fmt: skip

@@ -17,9 +17,11 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchrefrac.features import Features
-from torchrefrac.numerics import segment_sum
+from torchrefrac.numerics import segment_sum, typical_deviation
 from torchrefrac.scene import Observations, Scene
 
+OUTLYING = 4.0
+"""Standard deviations of a component that one right observation in 3000 errs by."""
 CANDIDATES = 6
 """Keypoints about a place, of which several may lie in one (of different orientations)."""
 SIMILAR = 0.755
@@ -37,17 +39,25 @@ class _Found:
     similarity: Float[Tensor, " k"]
 
 
-def complete_tracks(scene: Scene, features: Sequence[Features], radius: float) -> Scene:
-    """The scene with further observations within `radius` pixels of where its placed points are seen, and with tracks
-    joined that these show to be of one point. Nothing new is accepted yet. features: those of each view."""
+def complete_tracks(scene: Scene, features: Sequence[Features], max_error: float) -> Scene:
+    """The scene with further observations of its placed points, and with tracks joined that these show to be of one
+    point. Nothing new is accepted yet. features: those of each view.
+
+    An observation is looked for as far from where the point is seen as next to no right one errs, by the errors that
+    are there already and the noise of its own keypoint, but within max_error pixels.
+    """
     seen = scene.observations
+    error = scene.errors()[scene.accepted] * seen.precision.expand(len(seen))[scene.accepted]
+    if not len(error):
+        return scene
+    limit = OUTLYING * typical_deviation(error)
     keypoint = _keypoints_of(seen, features)
     descriptor = _mean_descriptors(scene, features, keypoint)
     extra: list[Observations] = []
     joined: list[Int[Tensor, "2 _"]] = []
     for view in scene.views.registered.nonzero()[:, 0].tolist():
         own = (seen.view == view).nonzero()[:, 0]
-        found = _look(scene, view, seen.point[own], features[view], descriptor, radius)
+        found = _look(scene, view, seen.point[own], features[view], descriptor, (limit, max_error))
         if not len(found.point):
             continue
         owner = torch.full((len(features[view]),), -1, dtype=torch.long)
@@ -66,9 +76,10 @@ def _look(
     there: Int[Tensor, " o"],
     features: Features,
     descriptor: Float[Tensor, "n 128"],
-    radius: float,
+    limits: tuple[float, float],
 ) -> _Found:
-    """What a view shows of the points that it is not known to see: not those that are `there`."""
+    """What a view shows of the points that it is not known to see: not those that are `there`. limits: of errors over
+    noise, and in pixels."""
     none = torch.zeros(0, dtype=torch.long)
     wanted = scene.placed.clone()
     wanted[there] = False
@@ -79,10 +90,9 @@ def _look(
     pixels, inside = camera.project(scene.points[point], inside_image=True)
     point, pixels = point[inside], pixels[inside]
     tree = KDTree(features.pixels.numpy())
-    _, near = tree.query(pixels.numpy(), k=CANDIDATES, distance_upper_bound=radius)
-    near = torch.from_numpy(near.astype(np.int64)).reshape(len(point), CANDIDATES)
-    exists = near < len(features)
-    near = near.clamp(max=len(features) - 1)
+    away, near = tree.query(pixels.numpy(), k=CANDIDATES, distance_upper_bound=limits[1])
+    near = torch.from_numpy(near.astype(np.int64)).reshape(len(point), CANDIDATES).clamp(max=len(features) - 1)
+    exists = torch.from_numpy(away).reshape(near.shape) < limits[0] * features.noise[near]
     similarity = torch.einsum("kd,kcd->kc", descriptor[point], features.descriptors[near])
     similarity = torch.where(exists, similarity, -1.0)
     best, which = similarity.max(dim=1)

@@ -1,4 +1,5 @@
-"""Whether the matches agree with the stated gravity under other focal lengths, where nothing agrees with those stated.
+"""Focal lengths with which the matches agree with the stated gravity: where nobody knows them, before anything is
+placed; and where nothing agrees with those stated, after.
 
 Verticals and refraction fix the focal length. Where it is grossly wrong no vertical fits, so that gravity is
 contradicted in most images, or most cannot be registered. The best pairs are then tried with focal lengths over the
@@ -38,6 +39,32 @@ BETTER = 0.5
 """Error, as a share of that with the focal length stated, at which another one explains the matches better."""
 
 
+UNKNOWN = 0.1
+"""Relative sigma of a focal length from which on it is looked for."""
+
+
+def with_likely_focals(
+    capture: Capture,
+    matches: Sequence[PairMatches],
+    features: Sequence[Features],
+    index_ratio: float,
+    options: SfmOptions,
+) -> Capture:
+    """The capture with focal lengths under which the best pairs of images of one camera agree with gravity, of cameras
+    that do not know theirs; within three times its sigma. As it is where gravity of such pairs is not known."""
+    cameras, focal = capture.cameras, capture.cameras.focal.clone()
+    for camera in (cameras.focal_sigma > UNKNOWN).nonzero()[:, 0].tolist():
+        usable = (capture.camera == camera) & capture.down_sigma.isfinite()
+        own = [pair for pair in matches if bool(usable[[pair.first, pair.second]].all())]
+        pairs = _best_pairs(own, capture, features, torch.tensor(index_ratio, dtype=torch.float64), options)
+        if pairs:
+            reach = min(math.ceil(3.0 * float(cameras.focal_sigma[camera]) / COARSE), WIDEST)
+            focal[camera] *= math.exp(_refined(pairs, _best(pairs, COARSE * _steps(reach))[0])[0])
+    if torch.equal(focal, cameras.focal):
+        return capture
+    return replace(capture, cameras=cameras.moved(focal, cameras.principal_point, cameras.distortion, 0))
+
+
 def better_focal(
     scene: Scene,
     stated: Capture,
@@ -53,17 +80,14 @@ def better_focal(
     """
     if not stated.has_gravity or not _contradicted(scene, stated):
         return None
-    best = sorted((pair for pair in matches if len(pair) >= options.min_pair_inliers), key=len, reverse=True)
-    tried = [_Pair.of(scene, stated, pair, features, options) for pair in best[:PAIRS]]
-    pairs = [pair for pair in tried if len(pair.views) >= options.min_pair_inliers]
+    pairs = _best_pairs(matches, stated, features, scene.interfaces.index_ratio[0], options)
     if not pairs:
         return None
-    steps = torch.arange(-WIDEST, WIDEST + 1, dtype=torch.float64)
-    rough, each = _best(pairs, COARSE * steps)
+    rough, each = _best(pairs, COARSE * _steps(WIDEST))
     agree = (each - rough).abs() < 1.5 * COARSE
     if 2 * int(agree.sum()) <= len(pairs):
         return None
-    found, each = _best(pairs, rough + COARSE / PARTS * steps[steps.abs() <= PARTS])
+    found, each = _refined(pairs, rough)
     if abs(found) < GROSS:
         return None
     error = torch.tensor([pair.error(math.exp(found)) for pair in pairs]).square().mean().sqrt()
@@ -91,7 +115,12 @@ class _Pair:
 
     @classmethod
     def of(
-        cls, scene: Scene, stated: Capture, pair: PairMatches, features: Sequence[Features], options: SfmOptions
+        cls,
+        stated: Capture,
+        pair: PairMatches,
+        features: Sequence[Features],
+        index_ratio: Float[Tensor, ""],
+        options: SfmOptions,
     ) -> "_Pair":
         images = [pair.first, pair.second]
         plane1, plane2 = image_planes(stated, features, pair)
@@ -103,7 +132,7 @@ class _Pair:
             plane2[rows],
             cam_from_level=level_rotation(stated.down_in_cam[images]),
             focal=focal,
-            index_ratio=scene.interfaces.index_ratio[0],
+            index_ratio=index_ratio,
             gravity_sigma=float(stated.down_sigma[images].max()),
             pixel_sigma=options.bundle.pixel_sigma,
         )
@@ -133,6 +162,28 @@ class _Pair:
         """Median error of the best of some models."""
         square = views.squared_errors(models).median(dim=-1).values
         return min(float(square.min().sqrt()), self.max_error)
+
+
+def _best_pairs(
+    matches: Sequence[PairMatches],
+    stated: Capture,
+    features: Sequence[Features],
+    index_ratio: Float[Tensor, ""],
+    options: SfmOptions,
+) -> list[_Pair]:
+    """A few of those with most matches."""
+    best = sorted((pair for pair in matches if len(pair) >= options.min_pair_inliers), key=len, reverse=True)
+    tried = [_Pair.of(stated, pair, features, index_ratio, options) for pair in best[:PAIRS]]
+    return [pair for pair in tried if len(pair.views) >= options.min_pair_inliers]
+
+
+def _steps(reach: int) -> Float[Tensor, " steps"]:
+    return torch.arange(-reach, reach + 1, dtype=torch.float64)
+
+
+def _refined(pairs: Sequence[_Pair], rough: float) -> tuple[float, Float[Tensor, " pairs"]]:
+    """`_best` within a coarse step of a logarithm."""
+    return _best(pairs, rough + COARSE / PARTS * _steps(PARTS))
 
 
 def _best(pairs: Sequence[_Pair], logarithms: Float[Tensor, " k"]) -> tuple[float, Float[Tensor, " pairs"]]:
