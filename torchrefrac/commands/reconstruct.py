@@ -15,9 +15,10 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.config import Options
-from torchrefrac.evaluate.consistency import contradictions
+from torchrefrac.evaluate.consistency import STEEP, contradictions
 from torchrefrac.evaluate.doubts import doubts
 from torchrefrac.evaluate.metrics import evaluate_run
+from torchrefrac.evaluate.survey_consistency import position_contradictions
 from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
 from torchrefrac.figures.matches import StagePictures
 from torchrefrac.files.masks import Masks
@@ -34,6 +35,7 @@ from torchrefrac.sfm import (
     better_focal,
     errors_are_rough,
     errors_in_air_and_water,
+    fits_better_in_air,
     level_capture,
     mostly_land,
     reconstruct_sparse,
@@ -85,24 +87,45 @@ def reconstruct(
                 raise ReconstructionError(str(error)) from None
     verify = _Verification(matches, features, ratio, options, generator, recorder)
     levelled = capture
-    capture, initializer, sfm, pairs = stage.part("matching", lambda: verify(levelled, stated.has_gravity))
-    stage("matching", lambda: pairs)
-    observations, colors = build_tracks(features, [pair.pair for pair in pairs])
-    recorder.scalar("tracks/count", len(colors), 0)
-    recorder.scalar("tracks/observations", len(observations), 0)
-    recorder.histogram("tracks/length", torch.bincount(observations.point), 0)
-    scene = Scene.of_capture(capture, observations, colors, initializer.index_ratio)
+    verified = stage.part("matching", lambda: verify(levelled, stated.has_gravity))
+    stage("matching", lambda: verified.pairs)
+
+    water = ratio if options.model.name == "refractive" else 1.0
+
+    def grown(verified: _Verified) -> Scene:
+        observations, colors = build_tracks(features, [pair.pair for pair in verified.pairs])
+        recorder.scalar("tracks/count", len(colors), 0)
+        recorder.scalar("tracks/observations", len(observations), 0)
+        recorder.histogram("tracks/length", torch.bincount(observations.point), 0)
+        scene = Scene.of_capture(verified.capture, observations, colors, verified.initializer.index_ratio)
+        water = ratio if options.model.name == "refractive" else 1.0
+        return reconstruct_sparse(
+            scene,
+            verified.capture,
+            verified.pairs,
+            verified.initializer,
+            verified.sfm,
+            generator,
+            recorder,
+            water,
+            features,
+        )
 
     def sparse() -> Scene:
-        water = ratio if options.model.name == "refractive" else 1.0
-        found = reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder, water, features)
-        known = found.assessment
+        found = grown(verified)
+        uneven = found.index_ratio > 1.0 and found.assessment.surface_slope > STEEP
+        if uneven and stated.has_gravity and fits_better_in_air(found, stated):
+            found = grown(verify.by_land(levelled))
+        known = replace(found.assessment, water_stated=ratio if found.index_ratio <= 1.0 < water else None)
         if found.index_ratio <= 1.0:
             known = replace(known, in_air_and_water=errors_in_air_and_water(found, stated))
-        elif (focal := better_focal(found, replace(stated, cameras=found.cameras), matches, features, sfm)) is not None:
+        elif (
+            focal := better_focal(found, replace(stated, cameras=found.cameras), matches, features, verified.sfm)
+        ) is not None:
             known = replace(known, wished={"focal": focal})
         found = replace(found, assessment=known)
-        return replace(found, findings=(*contradictions(found, stated), *doubts(stated)))
+        about_positions = position_contradictions(found, stated)
+        return replace(found, findings=(*contradictions(found, stated), *about_positions, *doubts(stated)))
 
     return stage("sparse", sparse)
 
@@ -222,8 +245,7 @@ class _Verification:
         if gravity_is_measured and isinstance(found.initializer, RefractiveInitializer):
             parts = self.matches, found.pairs, self.features
             if mostly_land(capture, *parts, found.sfm):
-                self.recorder.note(LAND)
-                return self._with(capture, land=True)
+                return self.by_land(capture)
             right = with_right_gravity(capture, *parts, self.ratio, found.sfm, self.recorder)
             found = found if right is capture else self._with(right)
             wide = RefractiveInitializer(found.capture, self.ratio, found.sfm.rough)
@@ -237,6 +259,11 @@ class _Verification:
                 "the check); the photographs must show the same textured surface from nearby places"
             )
         return found
+
+    def by_land(self, capture: Capture) -> _Verified:
+        """By pinhole poses: of photographs that show more land than water."""
+        self.recorder.note(LAND)
+        return self._with(capture, land=True)
 
     def _with(self, capture: Capture, rough: bool = False, land: bool = False) -> _Verified:
         options = replace(self.options, sfm=self.options.sfm.rough) if rough else self.options

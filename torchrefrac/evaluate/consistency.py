@@ -248,7 +248,14 @@ def _not_converged(scene: Scene) -> list[Finding]:
 
 
 def _unmodelled(scene: Scene) -> list[Finding]:
-    """Water that the model knows nothing of."""
+    """Water that the model knows nothing of, or that was stated, but is not there."""
+    ratio = scene.assessment.water_stated
+    if ratio is not None:
+        message = (
+            f"the images show no refraction, but an index ratio of {ratio:.4g} is stated: what they show is land, or "
+            "lies on the water, and was reconstructed as seen straight"
+        )
+        return [Finding(WarningCode.NO_REFRACTION_SEEN, message)]
     air, water = scene.assessment.in_air_and_water or (0.0, 0.0)
     if water >= UNDER_WATER * air:
         return []

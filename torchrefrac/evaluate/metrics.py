@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchrefrac.evaluate.point_errors import point_metrics
 from torchrefrac.evaluate.true_surface import TrueSurface
-from torchrefrac.geometry import Similarity, align_above_plane, align_similarity, so3_log
+from torchrefrac.geometry import Similarity, align_above_plane, align_similarity, so3_log, split_heading
 from torchrefrac.scene import Cameras, Scene, Truth
 from torchrefrac.scene.tables import ONLY
 
@@ -39,6 +39,7 @@ def summarize(scene: Scene) -> dict[str, Any]:
     for name, sigma in (("point", known.point_sigma), ("camera", known.center_sigma)):
         if sigma is not None and len(sigma):
             metrics[f"{name}_sigma_median_{scene.length_unit}"] = float(sigma.median())
+    metrics |= against_positions(scene)
     if known.determined:
         metrics["determined"] = list(known.determined)
     if known.fixed:
@@ -71,6 +72,33 @@ def intrinsics_metrics(scene: Scene) -> dict[str, Any]:
 def camera_prefixes(cameras: Cameras) -> list[str]:
     """How the metrics of each camera begin."""
     return ["camera"] if cameras.names == (ONLY,) else [f"camera_{name}" for name in cameras.names]
+
+
+def against_positions(scene: Scene) -> dict[str, float]:
+    """Of a scene in the frame of the positions that its capture states.
+
+    With UNIT its length unit: position_rms_UNIT and position_rms_vertical_UNIT of registered cameras, horizontally and
+    in height; water_level_UNIT, the height of the water among the positions; heading_off_deg, the median difference of
+    headings, where these are stated.
+    """
+    capture, lowered, unit = scene.capture, scene.assessment.lowered_by, scene.length_unit
+    if capture is None or lowered is None:
+        return {}
+    views = scene.views
+    known = views.registered & capture.position_sigma.isfinite().all(dim=-1)
+    off = (views.center - capture.position)[known] + views.center.new_tensor((0.0, 0.0, lowered))
+    found = {
+        f"position_rms_{unit}": rms(off[:, :2].norm(dim=-1)),
+        f"position_rms_vertical_{unit}": rms(off[:, 2]),
+    }
+    if scene.interfaces.refract():
+        found[f"water_level_{unit}"] = lowered
+    compass = views.registered & capture.has_heading
+    if bool(compass.any()):
+        _, heading = split_heading(views.rotation[compass])
+        turned = heading - capture.heading[compass]
+        found["heading_off_deg"] = float(torch.atan2(turned.sin(), turned.cos()).abs().median().rad2deg())
+    return found
 
 
 def evaluate(scene: Scene, truth: Truth) -> tuple[dict[str, float | int | str], Similarity | None]:

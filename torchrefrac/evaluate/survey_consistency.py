@@ -5,9 +5,10 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from torchrefrac.evaluate.consistency import about_given, about_images, listed, named
-from torchrefrac.scene import Finding, Scene, Survey, WarningCode
+from torchrefrac.scene import Capture, Finding, Scene, Survey, WarningCode
 from torchrefrac.sfm.gravity import contradicted_gravity, with_common_tilt
 from torchrefrac.sfm.positions import Disagreement, of_centers, of_control
+from torchrefrac.sfm.stated_positions import Positions
 from torchrefrac.sfm.vertical import angle_between
 
 
@@ -17,6 +18,15 @@ def survey_contradictions(scene: Scene, survey: Survey, used: Survey) -> tuple[F
     adjusted with."""
     stated = *_gravity(scene, survey), *_positions(scene, survey, used), *_control(scene, survey, used)
     return (*about_given(scene), *stated, *about_images(scene))
+
+
+def position_contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
+    """What a reconstruction says against the positions that its capture states, in whose frame it must be."""
+    if scene.assessment.lowered_by is None:
+        return ()
+    positions = Positions.of(stated).lowered(scene.assessment.lowered_by)
+    survey = positions.survey(scene.views.names)
+    return tuple(_positions(scene, survey, positions.of_most(scene).survey(scene.views.names)))
 
 
 def _gravity(scene: Scene, survey: Survey) -> list[Finding]:

@@ -43,7 +43,9 @@ class Assessment:
     levels: by how much the water stands higher for some views than for the others, for which it is 0; None where one
     level does for all.
     stopped_after: iterations of the last adjustment, where it stopped before it converged.
-    water_level: height of the water in the frame of the positions that the capture states; None: these are not known.
+    lowered_by: how much lower than the positions that the capture states the scene stands, in whose frame it is
+    otherwise: by the height of the water there; None: it is in a frame of its own.
+    water_stated: index ratio of water that was stated, but that the images do not show; None: there is none such.
     in_air_and_water: of a scene without refraction, what its typical reprojection error is and would be under water.
     """
 
@@ -64,7 +66,8 @@ class Assessment:
     disputed: tuple[int, int] = (0, 0)
     levels: Float[Tensor, " m"] | None = None
     stopped_after: int | None = None
-    water_level: float | None = None
+    lowered_by: float | None = None
+    water_stated: float | None = None
     in_air_and_water: tuple[float, float] | None = None
 
     def of_points(self, points: Int[Tensor, " p"]) -> "Assessment":

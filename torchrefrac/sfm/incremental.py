@@ -82,8 +82,8 @@ def reconstruct_sparse(
             assessment = replace(assessment, disputed=disputed(scene, rules, sides))
         assessment = with_levels(assessment, scene, rules, growth.fixed)
         advance(1, "")
-    level = None if growth.positions is None or not scene.interfaces.refract() else growth.positions.level
-    assessment = replace(assessment, stopped_after=growth.stopped_after, water_level=level)
+    level = None if growth.positions is None else growth.positions.level
+    assessment = replace(assessment, stopped_after=growth.stopped_after, lowered_by=level)
     return replace(scene.trimmed(), failures=growth.failures, assessment=assessment)
 
 
@@ -210,7 +210,7 @@ class _Growth:
 
     def _with_water(self, scene: Scene, length: int | Int[Tensor, " n"]) -> Scene:
         """A scene of land with the water beside it, where there is any."""
-        if self.water <= 1.0:
+        if self.water <= 1.0 or scene.interfaces.refract():
             return scene
         level = scene if self.positions is not None else fix_frame(scene, self.capture)
         found = flooded(level, self.water, self.final)

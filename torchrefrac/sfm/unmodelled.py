@@ -12,10 +12,12 @@ import torch
 from torchrefrac.bundle import UnadjustableError
 from torchrefrac.numerics import thin
 from torchrefrac.scene import Capture, Interfaces, Scene, Survey, SurveyError
+from torchrefrac.sfm.readjust import readjust
 from torchrefrac.sfm.rules import ReadjustOptions
 from torchrefrac.sfm.water_level import at_best_level
 
 VIEWS, POINTS, LEAST_POINTS = 6, 500, 30
+ANY = 1e6  # pixels
 FRESH_WATER = 1.333
 
 
@@ -40,6 +42,26 @@ def errors_in_air_and_water(scene: Scene, stated: Capture) -> tuple[float, float
     except (UnadjustableError, SurveyError):
         return None
     return float(part.errors().median()), float(wet.errors().median())
+
+
+def fits_better_in_air(scene: Scene, stated: Capture) -> bool:
+    """Whether a part of a scene that was reconstructed through water agrees better with itself without: it may show
+    land. Both are adjusted from what the scene has, with the intrinsics as uncertain as they are stated to be."""
+    part = _best_seen(scene)
+    if len(part.points) < LEAST_POINTS:
+        return False
+    air = replace(part, interfaces=Interfaces.level(1.0), dry=None)
+    try:
+        errors = [_typical_error(each, stated) for each in (air, part)]
+    except (UnadjustableError, SurveyError):
+        return False
+    return errors[0] < errors[1]
+
+
+def _typical_error(scene: Scene, stated: Capture) -> float:
+    """Median reprojection error, pixels, once everything is adjusted; of points that find no place an infinite one."""
+    adjusted, _ = readjust(scene, _gravity(scene, stated), ReadjustOptions(max_error=ANY, rounds=1))
+    return float(adjusted.errors().median())
 
 
 def _best_seen(scene: Scene) -> Scene:
