@@ -19,7 +19,7 @@ from torchrefrac.refraction import solve_refrax
 
 PACKAGE = Path(torchrefrac.__file__).parent
 FILES = sorted((*PACKAGE.rglob("*.py"), *(PACKAGE.parent / "hydra_plugins").rglob("*.py")))
-SHAPED = {"Bool", "Float", "Float32", "Int", "Real", "Shaped", "UInt8"}
+SHAPED = {"Bool", "Complex", "Float", "Float32", "Int", "Real", "Shaped", "UInt8"}
 
 
 def test_every_tensor_in_a_signature_has_a_shape():

@@ -117,7 +117,10 @@ def test_a_quiet_run_that_fails_says_its_one_error(torchrefrac, metrics, tmp_pat
     [
         (["scene=pond"], "scene is 'pond', but must be one of cans, capture, mesh, riverbed, table, tank, tank_small"),
         (["scene=tank", "scene.index_ratio=abc"], "scene.index_ratio is 'abc', but must be a number"),
-        (["scene=tank", "scene.altitude=30"], "scene.altitude is not an option; known here are camera, depth, "),
+        (
+            ["scene=tank", "scene.altitude=30"],
+            "scene.altitude is not an option; known here are camera, cameras, depth, ",
+        ),
         (["scene=tank_small", "scene.depth=90"], "scene.depth is not an option; known here are name, path"),
         (["scene=tank", "scene.heights=[2000]"], "scene tank: the camera path leaves the scene, cam00.png sees it in "),
         (["scene=tank", *SMALL, "cache=ball.ply"], "cannot be written: "),

@@ -116,6 +116,14 @@ def test_samples_of_which_only_some_are_good_enough_must_be_more(make_location, 
     assert ransac(location, ONE_BY_ONE, generator).num_samples == 143
 
 
+def test_where_hardly_any_sample_is_good_enough_as_many_are_drawn_as_may_be(make_location, generator):
+    options = RansacOptions(min_inliers=5, max_samples=500)
+
+    report = ransac(make_location(20, 0, hits=math.inf), options, generator)
+
+    assert report.num_samples == 500
+
+
 def test_batches_double_up_to_their_limit_and_the_last_is_as_large_as_needed(make_location, generator):
     location = make_location(50, 50, sample_size=2, answer=([5.0], [True]))
 

@@ -141,6 +141,8 @@ class Cameras:
 
     def exact(self) -> "Cameras":
         """The same without doubt: nothing of them varies in an adjustment by itself."""
+        if not self.are_uncertain and self.stated is None:
+            return self
         return replace(self, stated=None, **{name: torch.zeros_like(getattr(self, name)) for name in SIGMAS})
 
     def detached(self) -> "Cameras":
