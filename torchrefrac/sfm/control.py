@@ -18,6 +18,7 @@ def with_control(scene: Scene, survey: Survey) -> Scene:
     seen, count, k = scene.observations, len(scene.points), len(survey.control_names)
     positions = scene.points.new_zeros(k, 3)
     positions[survey.known_control] = survey.known_position
+    noise = None if seen.noise is None else torch.cat((seen.noise, torch.ones_like(survey.control_pixels[:, 0])))
     return replace(
         scene,
         points=torch.cat((scene.points, positions)),
@@ -28,6 +29,7 @@ def with_control(scene: Scene, survey: Survey) -> Scene:
             torch.cat((seen.view, survey.control_image)),
             torch.cat((seen.point, count + survey.control)),
             torch.cat((seen.pixels, survey.control_pixels)),
+            noise=noise,
         ),
         accepted=torch.cat((scene.accepted, scene.accepted.new_zeros(len(survey.control)))),
     )
