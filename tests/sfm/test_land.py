@@ -8,11 +8,10 @@ import torch
 from tests.sfm.test_reconstruct_sparse import reconstruct
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Interfaces
-from torchrefrac.sfm import PairPose, SfmOptions, fits_better_in_air, mostly_land, verify_pairs
+from torchrefrac.sfm import fits_better_in_air
 from torchrefrac.sfm.frame import transformed
 from torchrefrac.sfm.land import flooded
 from torchrefrac.sfm.rules import Rules
-from torchrefrac.sfm.verification import VerifiedPair
 
 RISE = 5.0
 
@@ -56,29 +55,3 @@ def test_photographs_of_water_do_not_fit_better_in_air(survey_of):
     survey = survey_of(cameras=5, points=120, noise=0.1)
 
     assert not fits_better_in_air(reconstruct(survey), survey.capture)
-
-
-class _Agreeing:
-    """Of every pair the first `share` of the matches agree."""
-
-    def __init__(self, share):
-        self.share = share
-
-    def relative(self, images, pixels, generator):
-        count = len(pixels[0])
-        return PairPose(None, None, torch.arange(count) < self.share * count, 0.1)
-
-
-@pytest.mark.parametrize(("share", "turned", "land"), [(0.5, False, True), (1.0, False, False), (0.5, True, False)])
-def test_land_is_where_pinholes_explain_more_and_agree_with_gravity(
-    survey_of, generator, recorder, share, turned, land
-):
-    survey = survey_of(cameras=4, points=200, index_ratio=1.0, noise=0.1, gravity_error_deg=0.2)
-    capture, matches, features = survey.capture, survey.pairs(), survey.features()
-    if turned:
-        mirrored = capture.down_in_cam * capture.down_in_cam.new_tensor((1.0, -1.0, 1.0))
-        every_other = torch.arange(4)[:, None] % 2 == 0
-        capture = replace(capture, down_in_cam=torch.where(every_other, mirrored, capture.down_in_cam))
-    verified: list[VerifiedPair] = verify_pairs(matches, features, _Agreeing(share), 10, generator, recorder)
-
-    assert mostly_land(capture, matches, verified, features, SfmOptions()) is land

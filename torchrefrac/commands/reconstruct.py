@@ -15,7 +15,7 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.config import Options
-from torchrefrac.evaluate.consistency import STEEP, contradictions
+from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.evaluate.doubts import doubts
 from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.evaluate.survey_consistency import position_contradictions
@@ -24,7 +24,7 @@ from torchrefrac.figures.matches import StagePictures
 from torchrefrac.files.masks import Masks
 from torchrefrac.files.paths import real_path
 from torchrefrac.recorder import Recorder, SilentRecorder
-from torchrefrac.scene import Capture, Scene, Truth
+from torchrefrac.scene import Capture, Scene, Truth, WarningCode
 from torchrefrac.sfm import (
     PinholeInitializer,
     PoseInitializer,
@@ -37,7 +37,6 @@ from torchrefrac.sfm import (
     errors_in_air_and_water,
     fits_better_in_air,
     level_capture,
-    mostly_land,
     reconstruct_sparse,
     verify_pairs,
     with_likely_focals,
@@ -113,8 +112,8 @@ def reconstruct(
 
     def sparse() -> Scene:
         found = grown(verified)
-        uneven = found.index_ratio > 1.0 and found.assessment.surface_slope > STEEP
-        if uneven and stated.has_gravity and fits_better_in_air(found, stated):
+        against = {finding.code for finding in contradictions(found, stated)}
+        if against == {WarningCode.SURFACE_NOT_FLAT} and stated.has_gravity and fits_better_in_air(found, stated):
             found = grown(verify.by_land(levelled))
         known = replace(found.assessment, water_stated=ratio if found.index_ratio <= 1.0 < water else None)
         if found.index_ratio <= 1.0:
@@ -244,8 +243,6 @@ class _Verification:
         found = self._with(capture)
         if gravity_is_measured and isinstance(found.initializer, RefractiveInitializer):
             parts = self.matches, found.pairs, self.features
-            if mostly_land(capture, *parts, found.sfm):
-                return self.by_land(capture)
             right = with_right_gravity(capture, *parts, self.ratio, found.sfm, self.recorder)
             found = found if right is capture else self._with(right)
             wide = RefractiveInitializer(found.capture, self.ratio, found.sfm.rough)

@@ -6,7 +6,6 @@ from torchrefrac.sfm.filter_points import filter_points
 from torchrefrac.sfm.focal import better_focal, with_likely_focals
 from torchrefrac.sfm.gravity import with_right_gravity
 from torchrefrac.sfm.incremental import NoInitialPairError, reconstruct_sparse
-from torchrefrac.sfm.land import mostly_land
 from torchrefrac.sfm.outcome import Adjustment, Filtering, Outcome, Registration, Start, Triangulation
 from torchrefrac.sfm.pinhole import PinholeInitializer
 from torchrefrac.sfm.pose import PairPose, Pose, PoseInitializer
@@ -24,7 +23,7 @@ __all__ = [
     "Adjustment", "Filtering", "NoInitialPairError", "Outcome", "PairPose", "PinholeInitializer", "Pose",
     "PoseInitializer", "ReadjustOptions", "RefractiveInitializer", "Registration", "Rules", "SfmOptions", "Start",
     "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal", "errors_are_rough",
-    "errors_in_air_and_water", "filter_points", "fits_better_in_air", "level_capture", "mostly_land", "readjust",
+    "errors_in_air_and_water", "filter_points", "fits_better_in_air", "level_capture", "readjust",
     "reconstruct_sparse", "register", "start", "triangulate", "verify_pairs", "with_found_level",
     "with_likely_focals", "with_noise_found", "with_right_gravity",
 ]  # fmt: skip

@@ -1,60 +1,19 @@
 """Photographs that show more land than water. Poses come from the land then, as those of a pinhole with a known
 vertical, and the water is found afterwards: its level, and which points are seen through it."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.features import Features, PairMatches
 from torchrefrac.numerics import thin
-from torchrefrac.scene import Capture, Interfaces, Scene
+from torchrefrac.scene import Interfaces, Scene
 from torchrefrac.sfm.dry_points import ENOUGH_VIEWS, FEWEST, LEAST_SHARE, evidence, find_dry, keypoint_sigma
-from torchrefrac.sfm.rules import Rules, SfmOptions
-from torchrefrac.sfm.unknown_vertical import pinhole_rotation
-from torchrefrac.sfm.verification import VerifiedPair
-from torchrefrac.sfm.vertical import angle_between, image_planes
+from torchrefrac.sfm.rules import Rules
 
-SHOWN_BY = 8
-"""Pairs that show whether there is land: those with most matches."""
-MORE = 1.1
-"""Times as many matches that agree on a pinhole pose as on one through the water, where there is land."""
-AGREEING = 0.75
-"""Share of these pairs whose rotations take one measured vertical to the other."""
-SLACK_DEG = 0.5
 LEVELS, SAMPLE = 24, 2000
 """Levels of the water that are tried, twice as many among the heights of the points, and tracks that judge them."""
-
-
-def mostly_land(
-    capture: Capture,
-    matches: Sequence[PairMatches],
-    verified: Sequence[VerifiedPair],
-    features: Sequence[Features],
-    options: SfmOptions,
-) -> bool:
-    """Whether pinhole poses explain clearly more matches than poses through the water do, and agree with gravity: a
-    wrong gravity would explain the first, but not both."""
-    agreeing = {(pair.pair.first, pair.pair.second): len(pair.pair) for pair in verified}
-    usable = (pair for pair in matches if len(pair) >= options.min_pair_inliers)
-    chosen = sorted(usable, key=len, reverse=True)[:SHOWN_BY]
-    straight, bent, level = 0, 0, []
-    for pair in chosen:
-        images = [pair.first, pair.second]
-        sigma = capture.down_sigma[images].square().sum().sqrt()
-        found = pinhole_rotation(
-            *image_planes(capture, features, pair), options.ransac.max_error / capture.typical_focal(*images)
-        )
-        if found is None or not bool(sigma.isfinite()):
-            continue
-        rotation, inliers = found
-        first, second = capture.down_in_cam[images]
-        straight += int(inliers.sum())
-        bent += agreeing.get((pair.first, pair.second), 0)
-        level.append(float(angle_between(rotation @ first, second)) < 3.0 * float(sigma) + SLACK_DEG * torch.pi / 180.0)
-    return bool(level) and straight > MORE * bent and sum(level) >= AGREEING * len(level)
 
 
 def flooded(scene: Scene, index_ratio: float, rules: Rules) -> Scene | None:
