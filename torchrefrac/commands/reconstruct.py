@@ -97,24 +97,15 @@ def reconstruct(
         recorder.scalar("tracks/observations", len(observations), 0)
         recorder.histogram("tracks/length", torch.bincount(observations.point), 0)
         scene = Scene.of_capture(verified.capture, observations, colors, verified.initializer.index_ratio)
-        water = ratio if options.model.name == "refractive" else 1.0
-        return reconstruct_sparse(
-            scene,
-            verified.capture,
-            verified.pairs,
-            verified.initializer,
-            verified.sfm,
-            generator,
-            recorder,
-            water,
-            features,
-        )
+        capture, initializer, sfm, pairs = verified
+        return reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder, water, features)
 
     def sparse() -> Scene:
         found = grown(verified)
-        against = {finding.code for finding in contradictions(found, stated)}
-        if against == {WarningCode.SURFACE_NOT_FLAT} and stated.has_gravity and fits_better_in_air(found, stated):
-            found = grown(verify.by_land(levelled))
+        if found.assessment.surface_slope > 0.0 and stated.has_gravity:  # land looks like that, too
+            against = {finding.code for finding in contradictions(found, stated)}
+            if against == {WarningCode.SURFACE_NOT_FLAT} and fits_better_in_air(found, stated):
+                found = grown(verify.by_land(levelled))
         known = replace(found.assessment, water_stated=ratio if found.index_ratio <= 1.0 < water else None)
         if found.index_ratio <= 1.0:
             known = replace(known, in_air_and_water=errors_in_air_and_water(found, stated))
@@ -219,7 +210,7 @@ def _match(features: list[Features], options: Options, recorder: Recorder) -> li
 
 
 class _Verified(NamedTuple):
-    """The capture with gravity that can be used, the initialiser and its options, what they verified."""
+    """The capture with gravity that can be used, the initialiser and its options, and what they verified."""
 
     capture: Capture
     initializer: PoseInitializer

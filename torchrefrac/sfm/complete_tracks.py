@@ -19,9 +19,8 @@ from torch import Tensor
 from torchrefrac.features import Features
 from torchrefrac.numerics import segment_sum, typical_deviation
 from torchrefrac.scene import Observations, Scene
+from torchrefrac.sfm.adjust import OUTLYING
 
-OUTLYING = 4.0
-"""Standard deviations of a component that one right observation in 3000 errs by."""
 CANDIDATES = 6
 """Keypoints about a place, of which several may lie in one (of different orientations)."""
 SIMILAR = 0.755
@@ -100,7 +99,7 @@ def _look(
     place = _first_at(features.pixels)
     elsewhere = torch.where(place[near] == place[chosen], -1.0, similarity).amax(dim=1)
     distinct = (1.0 - best) < DISTINCT**2 * (1.0 - elsewhere)
-    good = (best > SIMILAR) & distinct & scene.placed[point]
+    good = (best > SIMILAR) & distinct
     return _best_of_each(_Found(point[good], chosen[good, 0], best[good]), place)
 
 

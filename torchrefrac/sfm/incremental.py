@@ -184,8 +184,7 @@ class _Growth:
         for _ in range(self.options.final_rounds if scene.index_ratio > 1.0 else 0):
             wrong = worst_gravity(scene, self.capture.down_in_cam, self.down_sigma)
             if bool(wrong.any()):  # unless errors that observations have in common explain it
-                known = replace(self.rules, bundle=self.final.bundle)
-                sigma = torch.hypot(self.down_sigma, common_tilt(scene, known, self.fixed))
+                sigma = torch.hypot(self.down_sigma, common_tilt(scene, self.final, self.fixed))
                 wrong = worst_gravity(scene, self.capture.down_in_cam, sigma)
             if not bool(wrong.any()):
                 break
@@ -193,11 +192,11 @@ class _Growth:
             most = 2 * int((unknown & scene.views.registered).sum()) > scene.views.num_registered
             self.down_sigma = torch.where(unknown | most, torch.inf, self.down_sigma)
             scene = self._converged(scene, rules)
-        scene = self._with_positions(scene, rules)
+        scene = self._with_positions(scene, length)
         scene = self._with_water(scene, length)
         return self._with_dry(scene, replace(self.rules, min_track_length=length, max_error=self.final.max_error))
 
-    def _with_positions(self, scene: Scene, rules: Rules) -> Scene:
+    def _with_positions(self, scene: Scene, length: int) -> Scene:
         """Adjusted with the positions that are stated, the height of the water among these being what images say."""
         found = placed_by_positions(scene, self.capture)
         if found is None:
@@ -206,9 +205,9 @@ class _Growth:
         self.positions, self.sees_vertical = positions.of_most(scene), True
         if scene.interfaces.refract():
             self.rules = replace(self.rules, bundle=_with_height(self.rules.bundle))
-        return self._at_zero(self._converged(scene, replace(self.rules, min_track_length=rules.min_track_length)))
+        return self._at_zero(self._converged(scene, replace(self.rules, min_track_length=length)))
 
-    def _with_water(self, scene: Scene, length: int | Int[Tensor, " n"]) -> Scene:
+    def _with_water(self, scene: Scene, length: int) -> Scene:
         """A scene of land with the water beside it, where there is any."""
         if self.water <= 1.0 or scene.interfaces.refract():
             return scene
