@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.sfm import SfmOptions, UnknownVerticalError, level_capture
+from torchrefrac.sfm import SfmOptions, UnknownVerticalError, complete_gravity, level_capture
 from torchrefrac.sfm import vertical as module
 
 
@@ -40,7 +40,8 @@ class Notes(SilentRecorder):
 
 def level(survey, pairs, recorder=None):
     ratio = survey.basin.index_ratio
-    return level_capture(survey.capture, pairs, survey.features(), ratio, SfmOptions(), recorder or SilentRecorder())
+    find = complete_gravity if survey.capture.has_gravity else level_capture
+    return find(survey.capture, pairs, survey.features(), ratio, SfmOptions(), recorder or SilentRecorder())
 
 
 def angles(capture, survey):

@@ -33,6 +33,7 @@ from torchrefrac.sfm import (
     UnknownVerticalError,
     VerifiedPair,
     better_focal,
+    complete_gravity,
     errors_are_rough,
     errors_in_air_and_water,
     fits_better_in_air,
@@ -80,8 +81,9 @@ def reconstruct(
         capture = stage.part("matching", lambda: with_likely_focals(stated, *known))
         given = capture
         if bool(given.down_sigma.isinf().any()):
+            level = complete_gravity if given.has_gravity else level_capture
             try:
-                capture = stage("levelling", lambda: level_capture(given, *known, recorder))
+                capture = stage("levelling", lambda: level(given, *known, recorder))
             except UnknownVerticalError as error:
                 raise ReconstructionError(str(error)) from None
     verify = _Verification(matches, features, ratio, options, generator, recorder)

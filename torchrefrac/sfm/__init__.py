@@ -16,14 +16,14 @@ from torchrefrac.sfm.rules import ReadjustOptions, Rules, SfmOptions
 from torchrefrac.sfm.triangulate import triangulate
 from torchrefrac.sfm.unmodelled import errors_in_air_and_water, fits_better_in_air
 from torchrefrac.sfm.verification import VerifiedPair, errors_are_rough, verify_pairs
-from torchrefrac.sfm.vertical import UnknownVerticalError, level_capture
+from torchrefrac.sfm.vertical import UnknownVerticalError, complete_gravity, level_capture
 from torchrefrac.sfm.water_level import with_found_level
 
 __all__ = [
     "Adjustment", "Filtering", "NoInitialPairError", "Outcome", "PairPose", "PinholeInitializer", "Pose",
     "PoseInitializer", "ReadjustOptions", "RefractiveInitializer", "Registration", "Rules", "SfmOptions", "Start",
-    "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal", "errors_are_rough",
-    "errors_in_air_and_water", "filter_points", "fits_better_in_air", "level_capture", "readjust",
+    "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal", "complete_gravity",
+    "errors_are_rough", "errors_in_air_and_water", "filter_points", "fits_better_in_air", "level_capture", "readjust",
     "reconstruct_sparse", "register", "start", "triangulate", "verify_pairs", "with_found_level",
     "with_likely_focals", "with_noise_found", "with_right_gravity",
 ]  # fmt: skip

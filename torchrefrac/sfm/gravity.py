@@ -128,10 +128,8 @@ def _levelled(
     recorder: Recorder,
 ) -> Capture:
     """With all verticals from refraction; itself where it shows none, and nothing better is known."""
-    unlevelled = replace(capture, has_gravity=False)
     try:
-        levelled = level_capture(unlevelled, matches, features, index_ratio, options, recorder)
-        return replace(levelled, has_gravity=True)
+        return level_capture(capture, matches, features, index_ratio, options, recorder)
     except UnknownVerticalError:
         return capture
 

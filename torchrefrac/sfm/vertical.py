@@ -46,14 +46,11 @@ def level_capture(
     recorder: Recorder,
 ) -> Capture:
     """The capture with estimated verticals. down_sigma, the same for all images: the root mean square over the images,
-    the scatter between the pairs of one image, or LEAST_DOWN_SIGMA, whichever is largest. Where gravity of some images
-    is known, see `completed`.
+    the scatter between the pairs of one image, or LEAST_DOWN_SIGMA, whichever is largest.
 
     Raises UnknownVerticalError when no pair shows a vertical.
     """
-    usable = sorted((pair for pair in pairs if len(pair) >= options.min_pair_inliers), key=len, reverse=True)
-    if capture.has_gravity:
-        return completed(capture, usable, features, index_ratio, options, recorder)
+    usable = _usable(pairs, options)
     of, verticals, sigmas, detail = verticals_of_pairs(
         capture, best_pairs(usable), features, index_ratio, options, recorder
     )
@@ -75,9 +72,9 @@ def level_capture(
     return replace(capture, down_in_cam=down, down_sigma=sigma, has_gravity=True)
 
 
-def completed(
+def complete_gravity(
     capture: Capture,
-    usable: Sequence[PairMatches],
+    pairs: Sequence[PairMatches],
     features: Sequence[Features],
     index_ratio: float,
     options: SfmOptions,
@@ -85,6 +82,7 @@ def completed(
 ) -> Capture:
     """The capture with a vertical for each image that has none: from the best of its pairs, in descending order, that
     determine theirs, or else from an image beside it, good to some degrees; VAGUE_SIGMA where there is neither."""
+    usable = _usable(pairs, options)
     down, sigma = capture.down_in_cam.clone(), capture.down_sigma.clone()
     unknown = set(sigma.isinf().nonzero()[:, 0].tolist())
     concerned = best_pairs([pair for pair in usable if unknown & {pair.first, pair.second}])
@@ -94,6 +92,11 @@ def completed(
         sigma[image] = found.clamp(min=LEAST_DOWN_SIGMA)
     carry_over(capture, usable, features, options, down, sigma)
     return replace(capture, down_in_cam=down, down_sigma=sigma.clamp(max=VAGUE_SIGMA))
+
+
+def _usable(pairs: Sequence[PairMatches], options: SfmOptions) -> list[PairMatches]:
+    """Those with enough matches, in descending order."""
+    return sorted((pair for pair in pairs if len(pair) >= options.min_pair_inliers), key=len, reverse=True)
 
 
 def best_pairs(pairs: Sequence[PairMatches]) -> list[PairMatches]:
