@@ -50,6 +50,14 @@ def test_the_size_of_chunks_changes_nothing(descriptors, monkeypatch, chunk):
     assert torch.equal(match(*descriptors, MatchOptions()), whole)
 
 
+def test_of_two_equal_descriptors_the_first_is_matched():
+    one = torch.eye(4)
+
+    found = match(torch.cat((one[:2], one)), one, MatchOptions())
+
+    assert found.tolist() == [[0, 0], [1, 1], [4, 2], [5, 3]]
+
+
 def test_a_descriptor_with_two_equal_partners_has_none():
     one = torch.eye(4)
     twice = torch.cat((one, one[:1]))

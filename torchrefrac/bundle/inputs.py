@@ -4,11 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Shaped
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor, bincount
 
 from torchrefrac.checks import TorchrefracError
+from torchrefrac.numerics import components
 from torchrefrac.scene import Scene
 
 SHOWN = 4
@@ -70,9 +69,8 @@ def _check_finite(scene: Scene) -> None:
 
 def _check_connected(scene: Scene, fixed: Bool[Tensor, "m 6"] | None) -> None:
     seen, m = scene.observations, len(scene.views)
-    size = m + len(scene.points)
-    edges = (np.ones(len(seen)), (seen.view.cpu().numpy(), seen.point.cpu().numpy() + m))
-    count, label = connected_components(coo_array(edges, shape=(size, size)), directed=False)
+    label = components(seen.view, seen.point + m, m + len(scene.points)).cpu().numpy()
+    count = int(label.max()) + 1
     if count == 1:
         return
     parts = [np.nonzero(label[:m] == part)[0] for part in range(count)]

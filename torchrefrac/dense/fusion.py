@@ -6,14 +6,13 @@ from dataclasses import replace
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.rays import depth_in
+from torchrefrac.numerics import components
 
 SAME_REACH = 3.0  # cells within which the patch of another view must lie to be the same
 NEAREST = 12  # patches around one that it is judged by
@@ -109,9 +108,7 @@ def of_surfaces(patches: Patches, cell: int) -> Bool[Tensor, " n"]:
     if count <= NEAREST:
         return torch.ones_like(patches.score, dtype=torch.bool)
     index, near = _neighbours(patches, cell)
-    first, second = near.nonzero()[:, 0].numpy(), index[near].numpy()
-    graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(count, count))
-    island = torch.from_numpy(connected_components(graph, directed=False)[1].astype(np.int64))
+    island = components(near.nonzero()[:, 0], index[near], count)
     size = torch.bincount(island)
     return size[island] >= min(ISLAND, int(size.max()))
 

@@ -42,5 +42,8 @@ def match(
     squared_distance = (2.0 - 2.0 * similarity).clamp(min=0.0)
     distinct = squared_distance[:, 0] < options.ratio**2 * squared_distance[:, 1]
     rows = torch.arange(len(descriptors1), device=descriptors1.device)
-    mutual = distinct & (similarity[:, 0] == best[target])
+    nearest = similarity[:, 0] == best[target]
+    first = torch.full_like(best, len(rows), dtype=torch.long)  # of several that are as near
+    first.scatter_reduce_(0, target[nearest], rows[nearest], "amin")
+    mutual = distinct & (first[target] == rows)
     return torch.stack((rows[mutual], target[mutual]), dim=-1)

@@ -82,8 +82,8 @@ def extract_sift(path: Path, options: SiftOptions, used: Bool[Tensor, "height wi
     allowed = None if used is None else _resized_mask(used, grey)
     share = 1.0 if allowed is None else float(allowed.mean())
     enough = min(share * grey.size / PIXELS_A_KEYPOINT, ENOUGH, options.max_features)
-    found = _detect(grey, options, FAINTEST_LARGE, allowed)
-    keypoints = _distinct(found, options, enough)
+    faintest = FAINTEST_LARGE if options.choice == "largest" else 1.0
+    keypoints = _distinct(_detect(grey, options, faintest, allowed), options, enough)
     if len(keypoints) < enough:
         keypoints = _distinct(_detect(grey, options, FAINTEST, allowed), options, enough)
     keypoints, descriptors = _sift(options, FAINTEST).compute(grey, keypoints)

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, UInt8
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from jaxtyping import Int, UInt8
 from torch import Tensor
 
 from torchrefrac.features.sift import Features
+from torchrefrac.numerics import components, first_equal
 from torchrefrac.scene import Observations
 
 
@@ -31,23 +30,21 @@ def build_tracks(
 ) -> tuple[Observations, UInt8[Tensor, "n 3"]]:
     """Join matches into tracks over all images: observations of n points, and the mean colour of each.
 
-    Observations ascend by point, then by view, with the noise of the keypoints. Keypoints of one
-    image at one position (SIFT gives a keypoint several orientations) count as one. A component that has two positions
-    in one image is contradictory and dropped whole; so are those of fewer than `min_length` images.
+    Observations ascend by point, then by view, with the noise of the keypoints. Keypoints of one image at one position
+    (SIFT gives a keypoint several orientations) count as one. A component that has two positions in one image is
+    contradictory and dropped whole; so are those of fewer than `min_length` images.
     """
     counts = [len(f) for f in features]
     offset = np.concatenate(([0], np.cumsum(counts)))
     image = torch.from_numpy(np.repeat(np.arange(len(features)), counts))
     pixels = torch.cat([f.pixels for f in features])
-    node = _merge_positions(image, pixels)
+    node = first_equal(torch.cat((image[:, None].double(), pixels), dim=-1))
     edges = [pair.matches + torch.tensor([offset[pair.first], offset[pair.second]]) for pair in pairs]
     edges = torch.cat(edges or [torch.zeros(0, 2, dtype=torch.long)])
-    first, second = node[edges[:, 0]].numpy(), node[edges[:, 1]].numpy()
-    graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(len(node), len(node)))
-    _, label = connected_components(graph, directed=False)
-    label = torch.from_numpy(label.astype(np.int64))
+    first, second = node[edges[:, 0]], node[edges[:, 1]]
+    label = components(first, second, len(node))
 
-    used = torch.unique(torch.from_numpy(np.concatenate((first, second)).astype(np.int64)))
+    used = torch.unique(torch.cat((first, second)))
     component, image_of = label[used], image[used]
     key, times = torch.unique(component * len(features) + image_of, return_counts=True)
     contradictory = torch.zeros(int(label.max()) + 1 if len(label) else 0, dtype=torch.bool)
@@ -68,12 +65,3 @@ def _mean_colors(track: Int[Tensor, " k"], colors: UInt8[Tensor, "k 3"]) -> UInt
     count = torch.bincount(track)
     total = torch.zeros(len(count), 3, dtype=torch.float64).index_add_(0, track, colors.double())
     return (total / count[:, None]).round().to(torch.uint8)
-
-
-def _merge_positions(image: Int[Tensor, " n"], pixels: Float[Tensor, "n 2"]) -> Int[Tensor, " n"]:
-    """For each keypoint the first keypoint of its image at the same position."""
-    key = torch.cat((image[:, None].double(), pixels), dim=-1)
-    _, group = torch.unique(key, dim=0, return_inverse=True)
-    ids = torch.arange(len(pixels))
-    first = torch.full((int(group.max()) + 1 if len(group) else 0,), len(pixels), dtype=torch.long)
-    return first.scatter_reduce(0, group, ids, reduce="amin")[group]

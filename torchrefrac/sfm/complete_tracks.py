@@ -7,17 +7,16 @@ be less distinct than one that nothing guides.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchrefrac.features import Features
-from torchrefrac.numerics import segment_sum, typical_deviation
+from torchrefrac.numerics import components, first_equal, first_of_each, segment_sum, typical_deviation
 from torchrefrac.scene import Observations, Scene
 from torchrefrac.sfm.adjust import OUTLYING
 
@@ -27,6 +26,21 @@ SIMILAR = 0.755
 """Least scalar product of descriptors: those of one point are nearer than 0.7."""
 DISTINCT = 0.8
 """Times the distance of the next candidate's descriptor, within which that of the chosen one must be."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Keypoints:
+    """Those of a view, where they are looked for by place. first: for each the first one that lies where it does."""
+
+    features: Features
+
+    @cached_property
+    def tree(self) -> KDTree:
+        return KDTree(self.features.pixels.numpy())
+
+    @cached_property
+    def first(self) -> Int[Tensor, " f"]:
+        return first_equal(self.features.pixels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,18 +64,19 @@ def complete_tracks(scene: Scene, features: Sequence[Features], max_error: float
     if not len(error):
         return scene
     limit = OUTLYING * typical_deviation(error)
-    keypoint = _keypoints_of(seen, features)
+    keypoints = [_Keypoints(of_view) for of_view in features]
+    keypoint = _keypoints_of(seen, keypoints)
     descriptor = _mean_descriptors(scene, features, keypoint)
     extra: list[Observations] = []
     joined: list[Int[Tensor, "2 _"]] = []
     for view in scene.views.registered.nonzero()[:, 0].tolist():
         own = (seen.view == view).nonzero()[:, 0]
-        found = _look(scene, view, seen.point[own], features[view], descriptor, (limit, max_error))
+        found = _look(scene, view, seen.point[own], keypoints[view], descriptor, (limit, max_error))
         if not len(found.point):
             continue
         owner = torch.full((len(features[view]),), -1, dtype=torch.long)
         owner[keypoint[own]] = seen.point[own]
-        of = owner[_first_at(features[view].pixels)][found.keypoint]
+        of = owner[keypoints[view].first[found.keypoint]]
         joined.append(torch.stack((found.point[of >= 0], of[of >= 0])))
         free = found.keypoint[of < 0]
         pixels, noise = features[view].pixels[free], features[view].noise[free]
@@ -73,13 +88,13 @@ def _look(
     scene: Scene,
     view: int,
     there: Int[Tensor, " o"],
-    features: Features,
+    keypoints: _Keypoints,
     descriptor: Float[Tensor, "n 128"],
     limits: tuple[float, float],
 ) -> _Found:
     """What a view shows of the points that it is not known to see: not those that are `there`. limits: of errors over
     noise, and in pixels."""
-    none = torch.zeros(0, dtype=torch.long)
+    none, features = torch.zeros(0, dtype=torch.long), keypoints.features
     wanted = scene.placed.clone()
     wanted[there] = False
     point = wanted.nonzero()[:, 0]
@@ -88,19 +103,17 @@ def _look(
     camera = scene.camera_of(torch.full_like(point, view), point)
     pixels, inside = camera.project(scene.points[point], inside_image=True)
     point, pixels = point[inside], pixels[inside]
-    tree = KDTree(features.pixels.numpy())
-    away, near = tree.query(pixels.numpy(), k=CANDIDATES, distance_upper_bound=limits[1])
+    away, near = keypoints.tree.query(pixels.numpy(), k=CANDIDATES, distance_upper_bound=limits[1])
     near = torch.from_numpy(near.astype(np.int64)).reshape(len(point), CANDIDATES).clamp(max=len(features) - 1)
     exists = torch.from_numpy(away).reshape(near.shape) < limits[0] * features.noise[near]
     similarity = torch.einsum("kd,kcd->kc", descriptor[point], features.descriptors[near])
     similarity = torch.where(exists, similarity, -1.0)
     best, which = similarity.max(dim=1)
     chosen = near.gather(1, which[:, None])
-    place = _first_at(features.pixels)
-    elsewhere = torch.where(place[near] == place[chosen], -1.0, similarity).amax(dim=1)
+    elsewhere = torch.where(keypoints.first[near] == keypoints.first[chosen], -1.0, similarity).amax(dim=1)
     distinct = (1.0 - best) < DISTINCT**2 * (1.0 - elsewhere)
     good = (best > SIMILAR) & distinct
-    return _best_of_each(_Found(point[good], chosen[good, 0], best[good]), place)
+    return _best_of_each(_Found(point[good], chosen[good, 0], best[good]), keypoints.first)
 
 
 def _best_of_each(found: _Found, place: Int[Tensor, " f"]) -> _Found:
@@ -111,21 +124,15 @@ def _best_of_each(found: _Found, place: Int[Tensor, " f"]) -> _Found:
     return _Found(found.point[rows], found.keypoint[rows], found.similarity[rows])
 
 
-def _keypoints_of(seen: Observations, features: Sequence[Features]) -> Int[Tensor, " k"]:
+def _keypoints_of(seen: Observations, keypoints: Sequence[_Keypoints]) -> Int[Tensor, " k"]:
     """The first keypoint at each observation's pixel."""
     keypoint = torch.zeros_like(seen.view)
-    for view, of_view in enumerate(features):
+    for view, of_view in enumerate(keypoints):
         rows = (seen.view == view).nonzero()[:, 0]
         if len(rows):
-            _, nearest = KDTree(of_view.pixels.numpy()).query(seen.pixels[rows].numpy())
-            keypoint[rows] = _first_at(of_view.pixels)[torch.from_numpy(np.asarray(nearest))]
+            _, nearest = of_view.tree.query(seen.pixels[rows].numpy())
+            keypoint[rows] = of_view.first[torch.from_numpy(np.asarray(nearest))]
     return keypoint
-
-
-def _first_at(pixels: Float[Tensor, "f 2"]) -> Int[Tensor, " f"]:
-    """For each keypoint the first one of its image in its place."""
-    _, first, group = np.unique(pixels.numpy(), axis=0, return_index=True, return_inverse=True)
-    return torch.from_numpy(first[group.reshape(-1)])
 
 
 def _mean_descriptors(
@@ -144,7 +151,8 @@ def _merged(scene: Scene, extra: Sequence[Observations], joined: Sequence[Int[Te
     """With the further observations, and with one track in place of those that are joined unless they have two places
     in one image."""
     seen, n, m = scene.observations, len(scene.points), len(scene.views)
-    track = _components(torch.cat((*joined, torch.zeros(2, 0, dtype=torch.long)), dim=1), n)
+    edges = torch.cat((*joined, torch.zeros(2, 0, dtype=torch.long)), dim=1)
+    track = first_of_each(components(edges[0], edges[1], n))
     key, times = torch.unique(track[seen.point] * m + seen.view, return_counts=True)
     contradictory = torch.zeros(n, dtype=torch.bool)
     contradictory[key[times > 1] // m] = True
@@ -161,12 +169,3 @@ def _merged(scene: Scene, extra: Sequence[Observations], joined: Sequence[Int[Te
     points[track[had_place]] = scene.points[had_place]
     placed = torch.zeros_like(scene.placed).index_fill(0, track[had_place], True)
     return replace(scene, points=points, placed=placed, observations=observations, accepted=accepted[order])
-
-
-def _components(edges: Int[Tensor, "2 e"], n: int) -> Int[Tensor, " n"]:
-    """For each of n points the first of those that it hangs together with."""
-    first, second = edges.numpy()
-    graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(n, n))
-    label = torch.from_numpy(connected_components(graph, directed=False)[1].astype(np.int64))
-    least = torch.full((n,), n, dtype=torch.long).scatter_reduce(0, label, torch.arange(n), "amin")
-    return least[label]

@@ -1,0 +1,29 @@
+"""What hangs together, and what is the same."""
+
+import torch
+
+from torchrefrac.numerics import components, first_equal, first_of_each
+
+
+def test_nodes_hang_together_along_edges_in_both_directions_and_lone_ones_by_themselves():
+    label = components(torch.tensor([0, 3, 4]), torch.tensor([3, 5, 1]), 7)
+
+    groups = {frozenset((label == value).nonzero()[:, 0].tolist()) for value in label.unique()}
+    assert groups == {frozenset({0, 3, 5}), frozenset({1, 4}), frozenset({2}), frozenset({6})}
+    assert sorted(label.unique().tolist()) == [0, 1, 2, 3]
+
+
+def test_without_edges_every_node_is_alone():
+    none = torch.zeros(0, dtype=torch.long)
+    assert components(none, none, 3).tolist() == [0, 1, 2]
+    assert components(none, none, 0).tolist() == []
+
+
+def test_the_first_of_each_group_stands_for_it():
+    assert first_of_each(torch.tensor([1, 0, 1, 2, 0])).tolist() == [0, 1, 0, 3, 1]
+    assert first_of_each(torch.zeros(0, dtype=torch.long)).tolist() == []
+
+
+def test_equal_rows_are_found_whatever_lies_between(draw):
+    rows = draw.normal(5, 2)[torch.tensor([2, 4, 2, 0, 4, 1])]
+    assert first_equal(rows).tolist() == [0, 1, 0, 3, 1, 5]
