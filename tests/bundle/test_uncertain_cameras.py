@@ -24,12 +24,12 @@ def test_what_a_camera_states_to_be_uncertain_varies_and_nothing_else(plant):
     layout = Layout.create(scene)
 
     assert layout.intrinsics == ("focal", "distortion")
-    assert layout.held["focal"].tolist() == [[False], [True]]
-    assert layout.held["distortion"].tolist() == [[True] * 5, [False] * 5]
+    assert layout.fixed_intrinsics["focal"].tolist() == [[False], [True]]
+    assert layout.fixed_intrinsics["distortion"].tolist() == [[True] * 5, [False] * 5]
     columns = layout.intrinsics_columns("focal", torch.tensor([0, 1]))
     assert columns[0, 0] < layout.size
     assert columns[1, 0] == layout.size
-    assert Layout.create(scene.detached(), ("focal", "distortion")).held == {}
+    assert Layout.create(scene.detached(), ("focal", "distortion")).fixed_intrinsics == {}
     assert Layout.create(replace(scene, cameras=scene.cameras.exact())).intrinsics == ()
 
 
@@ -39,14 +39,15 @@ def test_radial_terms_vary_beside_the_distortion_that_another_camera_states(plan
     layout = Layout.create(scene, ("radial",))
 
     assert layout.intrinsics == ("distortion",)
-    assert layout.held["distortion"].tolist() == [[False, False, True, True, True], [False] * 5]
+    assert layout.fixed_intrinsics["distortion"].tolist() == [[False, False, True, True, True], [False] * 5]
 
 
 def test_a_fisheye_has_four_coefficients(plant):
     truth = plant(cameras=2).truth
     scene = replace(truth, cameras=replace(truth.cameras, models=("opencv", "fisheye")))
 
-    assert Layout.create(scene, ("distortion",)).held["distortion"].tolist() == [[False] * 5, [False] * 4 + [True]]
+    fixed = Layout.create(scene, ("distortion",)).fixed_intrinsics["distortion"]
+    assert fixed.tolist() == [[False] * 5, [False] * 4 + [True]]
 
 
 def test_the_rows_of_what_is_held_are_zero_and_the_others_as_ever(plant):

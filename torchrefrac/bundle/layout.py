@@ -25,9 +25,10 @@ STATED = ("focal", "principal_point", "distortion")
 @dataclass(frozen=True)
 class Layout:
     """camera and interface: those of each view. intrinsics and water: what varies of them (keys of `rows.INTRINSICS`
-    and of WATER_WIDTH); held: by name of the intrinsics, which numbers of which cameras do not, where some do. fixed:
-    unknowns of the poses (rotation, centre) that do not vary; fix_points: none of the points do. reduced: which points
-    are reduced unknowns. refractive: whether the index ratio is above 1, so that images depend on the plane."""
+    and of WATER_WIDTH); fixed_intrinsics: by name of the intrinsics, which numbers of which cameras do not, where some
+    do. fixed: unknowns of the poses (rotation, centre) that do not vary; fix_points: none of the points do. reduced:
+    which points are reduced unknowns. refractive: whether the index ratio is above 1, so that images depend on the
+    plane."""
 
     camera: Int[Tensor, " m"]
     interface: Int[Tensor, " m"]
@@ -36,7 +37,7 @@ class Layout:
     num_points: int
     intrinsics: tuple[str, ...] = ()
     water: tuple[str, ...] = ()
-    held: Mapping[str, Bool[Tensor, "g width"]] = field(default_factory=dict)
+    fixed_intrinsics: Mapping[str, Bool[Tensor, "g width"]] = field(default_factory=dict)
     fixed: Bool[Tensor, "m 6"] | None = None
     fix_points: bool = False
     reduced: Bool[Tensor, " n"] | None = None
@@ -59,7 +60,7 @@ class Layout:
             raise ValueError(f"refine has {unknown[0]!r}, but knows {', '.join(known)}")
         if "radial" in refine and "distortion" in refine:
             raise ValueError("refine has radial and distortion, but the first is part of the second")
-        intrinsics, held = _varying(scene.cameras, refine)
+        intrinsics, fixed_intrinsics = _varying(scene.cameras, refine)
         return cls(
             camera=scene.views.camera,
             interface=scene.views.interface,
@@ -68,7 +69,7 @@ class Layout:
             num_points=len(scene.points),
             intrinsics=intrinsics,
             water=tuple(name for name in WATER_WIDTH if name in refine),
-            held=held,
+            fixed_intrinsics=fixed_intrinsics,
             fixed=fixed if fixed is not None and bool(fixed.any()) else None,
             fix_points=fix_points,
             reduced=reduced if reduced is not None and bool(reduced.any()) else None,
@@ -132,19 +133,21 @@ class Layout:
         before = sum(INTRINSICS[other].width for other in self.intrinsics[: self.intrinsics.index(name)])
         first = REDUCED_SIZE * self.num_views + self._intrinsics_size * camera + before
         columns = first[:, None] + torch.arange(INTRINSICS[name].width, device=camera.device)
-        return torch.where(self.held[name][camera], self.size, columns) if name in self.held else columns
+        fixed = self.fixed_intrinsics.get(name)
+        return columns if fixed is None else torch.where(fixed[camera], self.size, columns)
 
     @cached_property
     def constant(self) -> Bool[Tensor, "m width"] | None:
         """Which of the reduced unknowns that the observations of each view depend on do not vary; None: all do."""
-        if self.fixed is None and not self.held:
+        if self.fixed is None and not self.fixed_intrinsics:
             return None
         nothing = torch.zeros(self.num_views, 0, dtype=torch.bool, device=self.camera.device)
         poses = self.fixed if self.fixed is not None else nothing.new_zeros(self.num_views, REDUCED_SIZE)
         widths = {name: INTRINSICS[name].width for name in self.intrinsics}
-        own = [self.held.get(name, nothing.new_zeros(self.num_cameras, width)) for name, width in widths.items()]
+        none = {name: nothing.new_zeros(self.num_cameras, width) for name, width in widths.items()}
+        own = [self.fixed_intrinsics.get(name, none[name]) for name in self.intrinsics]
         water = nothing.new_zeros(self.num_views, sum(WATER_WIDTH[name] for name in self.water))
-        return torch.cat((poses, *(held[self.camera] for held in own), water), dim=1)
+        return torch.cat((poses, *(fixed[self.camera] for fixed in own), water), dim=1)
 
     def index_column(self) -> int:
         """Of the index ratio."""
@@ -224,7 +227,7 @@ def _varying(cameras: Cameras, refine: tuple[str, ...]) -> tuple[tuple[str, ...]
     names = {*refine, *(name for name, of in uncertain.items() if bool(of.any()))}
     if "distortion" in names:
         names.discard("radial")  # it is part of it
-    varying, held = tuple(name for name in INTRINSICS if name in names), {}
+    varying, fixed_intrinsics = tuple(name for name in INTRINSICS if name in names), {}
     for name in varying:
         which = torch.ones_like(cameras.fisheye) if name in refine else uncertain[name]
         of = which[:, None].repeat(1, INTRINSICS[name].width)
@@ -232,5 +235,5 @@ def _varying(cameras: Cameras, refine: tuple[str, ...]) -> tuple[tuple[str, ...]
             of[:, : INTRINSICS["radial"].width] |= "radial" in refine
             of[cameras.fisheye, FISHEYE_COEFFICIENTS:] = False
         if not bool(of.all()):
-            held[name] = ~of
-    return varying, held
+            fixed_intrinsics[name] = ~of
+    return varying, fixed_intrinsics

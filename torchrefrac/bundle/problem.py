@@ -118,7 +118,7 @@ class BundleProblem:
         """How many reduced unknowns are free."""
         layout = self.layout
         poses = 0 if layout.fixed is None else int((~layout.fixed).sum()) - REDUCED_SIZE * layout.num_views
-        return layout.size + poses - sum(int(held.sum()) for held in layout.held.values())
+        return layout.size + poses - sum(int(fixed.sum()) for fixed in layout.fixed_intrinsics.values())
 
     def retract(self, state: Scene, step: Step) -> Scene:
         return self.layout.retract(state, step)

@@ -26,14 +26,14 @@ def wished_changes(
     would end (Rao's score test, 1948); far off it still has the right sign.
     """
     layout = problem.layout
-    if name in (*layout.intrinsics, *layout.water) and name not in layout.held:
+    if name in (*layout.intrinsics, *layout.water) and name not in layout.fixed_intrinsics:
         return {}
     if name == "index_ratio":
         layout = replace(layout, water=tuple(n for n in WATER_WIDTH if n in (name, *layout.water)))
     else:
         intrinsics = tuple(n for n in INTRINSICS if n in (name, *layout.intrinsics))
-        held = {n: of for n, of in layout.held.items() if n != name}
-        layout = replace(layout, intrinsics=intrinsics, held=held)
+        fixed_intrinsics = {n: of for n, of in layout.fixed_intrinsics.items() if n != name}
+        layout = replace(layout, intrinsics=intrinsics, fixed_intrinsics=fixed_intrinsics)
     options = replace(problem.options, pixel_sigma=pixel_sigma)
     asked = problem.with_layout(scene, layout, options, problem.terms)
     linearized = asked.linearize(scene)
@@ -42,7 +42,7 @@ def wished_changes(
     except SingularError:
         return {}
     step, variance = linearized.solve(0.0).reduced, covariance.reduced.diagonal().clamp(min=0.0)
-    columns = columns_of(scene, layout, name, problem.layout.held.get(name))
+    columns = columns_of(scene, layout, name, problem.layout.fixed_intrinsics.get(name))
     return {key: (float(step[column]), pixel_sigma * float(variance[column].sqrt())) for key, column in columns.items()}
 
 

@@ -159,18 +159,18 @@ def _select(listing: Listing, options: ImportOptions, recorder: Recorder) -> _Se
             left_out[path] = str(error).removeprefix(f"{path} ")
     reasons = left_out_by_kind([one.kind for one in read])
     left_out |= {one.path: reason for one, reason in zip(read, reasons, strict=True) if reason}
-    kept = [one for one, reason in zip(read, reasons, strict=True) if not reason]
+    used = [one for one, reason in zip(read, reasons, strict=True) if not reason]
     if options.look:
-        reasons = useless(look_at([one.path for one in kept]))
-        left_out |= {one.path: reason for one, reason in zip(kept, reasons, strict=True) if reason}
-        kept = [one for one, reason in zip(kept, reasons, strict=True) if not reason]
-    if len(kept) < 2:
-        raise CaptureError(_too_few(options, kept, left_out, listing))
-    return _Selection(kept, left_out)
+        reasons = useless(look_at([one.path for one in used]))
+        left_out |= {one.path: reason for one, reason in zip(used, reasons, strict=True) if reason}
+        used = [one for one, reason in zip(used, reasons, strict=True) if not reason]
+    if len(used) < 2:
+        raise CaptureError(_too_few(options, used, left_out, listing))
+    return _Selection(used, left_out)
 
 
-def _too_few(options: ImportOptions, kept: Sequence[Photograph], left_out: Mapping[Path, str], listing: Listing) -> str:
-    where, count = ", ".join(options.sources), len(kept)
+def _too_few(options: ImportOptions, used: Sequence[Photograph], left_out: Mapping[Path, str], listing: Listing) -> str:
+    where, count = ", ".join(options.sources), len(used)
     found = f"photos is {where}, where {count or 'no'} photograph{'' if count == 1 else 's'} can be used"
     if listing.films and not listing.pictures:
         return f"{found}; for the frames of a film name the file: photos={listing.films[0]}"

@@ -65,8 +65,7 @@ def reconstruct_sparse(
     there is nothing to start from.
     """
 
-    growth = _Growth(scene, capture, options, recorder, water, features)
-    growth.rules = growth.final = options.rules(initializer, growth.measured, generator)
+    growth = _Growth(capture, options, initializer, generator, recorder, water, features)
     scene = growth.start(scene, pairs)
     remaining = len(capture) - scene.views.num_registered
     for grown in recorder.track(growth.register_all(scene), remaining, "registering", "image"):
@@ -90,23 +89,21 @@ def reconstruct_sparse(
 class _Growth:
     """The order of the steps of one reconstruction, and what they share."""
 
-    rules: Rules
-    final: Rules
-    """With the noise and the errors that the last adjustment has shown."""
-
     def __init__(
         self,
-        scene: Scene,
         capture: Capture,
         options: SfmOptions,
+        initializer: PoseInitializer,
+        generator: torch.Generator,
         recorder: Recorder,
-        water: float = 1.0,
-        features: Sequence[Features] = (),
+        water: float,
+        features: Sequence[Features],
     ) -> None:
-        self.capture, self.options, self.recorder, self.water = capture, options, recorder, water
-        self.features = features
+        self.capture, self.options, self.recorder = capture, options, recorder
+        self.water, self.features = water, features
+        self.rules = options.rules(initializer, self.measured, generator)
+        self.final = self.rules  # with the noise and the errors that the last adjustment has shown
         self.down_sigma = capture.down_sigma  # infinite where gravity turns out to be wrong
-        self.sees_vertical = scene.index_ratio > 1.0
         self.positions: Positions | None = None
         self.failures: dict[str, str] = {}
         self.fixed: dict[str, str] = {}
@@ -117,7 +114,7 @@ class _Growth:
     def measured(self, part: Part) -> Sequence[Term]:
         """Gravity where there is something to see the vertical by, and positions, once the scene is in their frame."""
         terms: list[Term] = []
-        if self.sees_vertical:
+        if part.scene.interfaces.refract() or self.positions is not None:
             terms.append(GravityPrior(self.capture.down_in_cam[part.view], self.down_sigma[part.view]))
         return terms if self.positions is None else [*terms, *self.positions.terms(part)]
 
@@ -202,7 +199,7 @@ class _Growth:
         if found is None:
             return scene
         scene, positions = found
-        self.positions, self.sees_vertical = positions.of_most(scene), True
+        self.positions = positions.of_most(scene)
         if scene.interfaces.refract():
             self.rules = replace(self.rules, bundle=_with_height(self.rules.bundle))
         return self._at_zero(self._converged(scene, replace(self.rules, min_track_length=length)))
@@ -215,7 +212,6 @@ class _Growth:
         found = flooded(level, self.water, self.final)
         if found is None:
             return scene
-        self.sees_vertical = True
         if self.positions is not None:
             self.rules = replace(self.rules, bundle=_with_height(self.rules.bundle))
         return self._at_zero(self._converged(self._at_zero(found), replace(self.rules, min_track_length=length)))
