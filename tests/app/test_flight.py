@@ -26,9 +26,9 @@ def reconstructed(torchrefrac, metrics, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("water", ["air", "fresh"])
-def test_a_real_flight_over_a_shore_is_reconstructed_by_its_land(reconstructed, shared_data, water):
-    found = reconstructed(shared_data("shore_flight") / "images", f"water={water}", *SMALLER)
+@pytest.mark.parametrize(("water", "options"), [("air", SMALLER), ("fresh", SMALLER), ("fresh", ())])
+def test_a_real_flight_over_a_shore_is_reconstructed_by_its_land(reconstructed, shared_data, water, options):
+    found = reconstructed(shared_data("shore_flight") / "images", f"water={water}", *options)
 
     assert found["registered_images"] == 6
     assert found["points"] > 400

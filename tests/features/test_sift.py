@@ -1,12 +1,14 @@
 """SIFT keypoints on images of blobs whose places are known."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 import torch
 
 from torchrefrac.features import SiftOptions, extract_sift
-from torchrefrac.features.sift import _distinct
+from torchrefrac.features.sift import _largest, _strongest
 
 SIZE, SPACING = 640, 40
 
@@ -93,16 +95,45 @@ def _keypoints(*sizes_and_contrasts):
     return [cv2.KeyPoint(0.0, 0.0, size, 0.0, contrast / 3.0) for size, contrast in sizes_and_contrasts]
 
 
-def test_of_more_than_are_wanted_the_strongest_are_taken_or_large_ones_also_fainter_ones():
-    many = _keypoints((1.8, 0.5), (1.8, 0.3), (3.6, 0.045), (3.6, 0.021), (3.6, 0.019), (7.2, 0.011), (60.0, 0.011))
+def test_of_more_than_are_wanted_the_strongest_are_taken_that_come_up_to_the_threshold():
+    many = _keypoints((1.8, 0.5), (1.8, 0.3), (3.6, 0.045), (3.6, 0.021))
 
-    def sizes(count, choice="largest"):
-        chosen = _distinct(many, SiftOptions(max_features=count, choice=choice), 0.0)
-        return [(round(each.size, 1), round(3.0 * each.response, 3)) for each in chosen]
+    def contrasts(count, enough=0.0):
+        chosen = _strongest(many, SiftOptions(max_features=count), enough)
+        return [round(3.0 * each.response, 3) for each in chosen]
 
-    assert sizes(3) == [(1.8, 0.5), (1.8, 0.3), (3.6, 0.045)]
-    assert sizes(2) == [(7.2, 0.011), (3.6, 0.045)]
-    assert sizes(2, "strongest") == [(1.8, 0.5), (1.8, 0.3)]
+    assert contrasts(2) == [0.5, 0.3]
+    assert contrasts(4) == [0.5, 0.3, 0.045]
+    assert contrasts(4, enough=4.0) == [0.5, 0.3, 0.045, 0.021]
+
+
+def test_or_large_ones_are_taken_however_faint_but_no_larger_ones_than_serve():
+    many = _keypoints((1.8, 0.5), (3.6, 0.045), (3.6, 0.021), (7.2, 0.011), (60.0, 0.011), (9.0, 0.01))
+
+    chosen = _largest(many, SiftOptions(max_features=5))
+
+    assert [(round(each.size, 1), round(3.0 * each.response, 3)) for each in chosen] == [
+        (7.2, 0.011), (9.0, 0.01), (3.6, 0.045), (3.6, 0.021), (1.8, 0.5),
+    ]  # fmt: skip
+
+
+def test_large_keypoints_are_taken_of_images_that_have_many_pixels_for_each():
+    options = SiftOptions(max_features=1000, max_pixels=1e6)
+
+    assert options.for_images(500_000).choice == "strongest"
+    assert options.for_images(700_000).choice == "largest"
+    assert replace(options, max_features=2000).for_images(12e6).choice == "strongest"
+    assert replace(options, choice="strongest").for_images(700_000).choice == "strongest"
+
+
+def test_a_place_has_two_orientations_at_most_where_large_ones_are_taken():
+    several = [cv2.KeyPoint(5.0, 7.0, 8.0, angle, 0.1) for angle in (10.0, 90.0, 200.0)]
+    several.append(cv2.KeyPoint(5.0, 7.5, 8.0, 30.0, 0.05))
+
+    chosen = _largest(several, SiftOptions())
+
+    assert [each.angle for each in chosen] == [10.0, 90.0, 30.0]
+    assert _largest([], SiftOptions()) == []
 
 
 def test_images_of_many_pixels_are_reduced_and_keypoints_placed_in_those_of_the_file(write_image, blobs):

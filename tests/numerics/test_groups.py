@@ -2,7 +2,7 @@
 
 import torch
 
-from torchrefrac.numerics import components, first_equal, first_of_each
+from torchrefrac.numerics import components, equal_before, first_equal, first_of_each
 
 
 def test_nodes_hang_together_along_edges_in_both_directions_and_lone_ones_by_themselves():
@@ -27,3 +27,5 @@ def test_the_first_of_each_group_stands_for_it():
 def test_equal_rows_are_found_whatever_lies_between(draw):
     rows = draw.normal(5, 2)[torch.tensor([2, 4, 2, 0, 4, 1])]
     assert first_equal(rows).tolist() == [0, 1, 0, 3, 1, 5]
+    assert equal_before(rows).tolist() == [0, 0, 1, 0, 1, 0]
+    assert equal_before(rows[:0]).tolist() == []

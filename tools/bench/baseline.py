@@ -73,6 +73,8 @@ def _benches(data: Path, ceres: Path | None) -> dict[str, list[str]]:
     }
     if photographs.is_dir():
         benches["photographs"] = [str(photographs)]
+    if (data / "shore_flight").is_dir():
+        benches["features"] = [str(data / "shore_flight" / "images")]
     if ceres is not None:
         benches["bundle"] = ["--ceres", str(ceres)]
     return benches

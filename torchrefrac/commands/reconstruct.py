@@ -199,8 +199,10 @@ def _initializer(
 
 def _extract(capture: Capture, options: Options, recorder: Recorder) -> list[Features]:
     masks = Masks(capture)
+    sizes = [capture.cameras.sizes[camera] for camera in capture.camera.tolist()]
+    how = options.features.for_images(sum(width * height for width, height in sizes) / len(sizes))
     paths = recorder.track(capture.paths, len(capture), "features", "image")
-    return [extract_sift(path, options.features, masks.used(i)) for i, path in enumerate(paths)]
+    return [extract_sift(path, how, masks.used(i)) for i, path in enumerate(paths)]
 
 
 def _match(features: list[Features], options: Options, recorder: Recorder) -> list[PairMatches]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,15 +14,18 @@ from torch import Tensor
 
 from torchrefrac.checks import Range, require_ranges
 from torchrefrac.files.photographs import read_color
+from torchrefrac.numerics import equal_before
 
 PIXELS_A_KEYPOINT = 1000  # with fewer keypoints than one for as many pixels an image is searched for fainter ones,
 ENOUGH = 300  # unless it has as many
 FAINTEST = 0.125  # share of the contrast threshold that is gone down to
-FAINTEST_LARGE = 0.25  # the same for large keypoints of images that have more than enough
-SMALLEST = 1.8  # diameter of the smallest keypoints, pixels
-PREFERRED = 6.0
+PREFERRED = 8.0
 """Diameter of keypoints, pixels, that are taken first where the largest are wanted. In photographs of a shore from the
-air, at 4000 keypoints, any larger size has hardly more matches, and the strongest contrast 45 % fewer."""
+air, at 5800 keypoints, any larger size has hardly more matches, and the strongest contrast 45 % fewer."""
+ORIENTATIONS = 2
+"""The most of one place, where the largest are wanted: others match more often than further ones would."""
+CROWDED = 600.0
+"""Pixels for each keypoint that is wanted, from which on these are a small share of all that there are."""
 REACH = 2.5  # diameters; three standard deviations of the widest blur that a keypoint is found in
 
 RANGES = {
@@ -40,8 +43,8 @@ class SiftOptions:
 
     contrast_threshold: halved, and again, for an image in which hardly anything comes up to it. max_pixels: larger
     images are reduced to as many. choice: of more keypoints than are wanted the "strongest", of the highest contrast,
-    whose places are the most exact, or the "largest", also fainter ones, which are found again more often: in real
-    photographs at a distance these have nearly twice as many matches.
+    whose places are the most exact, or the "largest", however faint, which are found again more often: in real
+    photographs at a distance these have nearly twice as many matches. "auto": see `for_images`.
     """
 
     max_features: int = 8192
@@ -49,10 +52,19 @@ class SiftOptions:
     contrast_threshold: float = 0.04
     edge_threshold: float = 10.0
     max_pixels: float = 10e6
-    choice: Literal["strongest", "largest"] = "strongest"
+    choice: Literal["auto", "strongest", "largest"] = "auto"
 
     def __post_init__(self) -> None:
         require_ranges(self, RANGES)
+
+    def for_images(self, pixels: float) -> "SiftOptions":
+        """With the choice made, for images of so many pixels: the largest, where these are many for each keypoint that
+        is wanted. Then there are far more keypoints than are wanted, of which the strongest are the smallest and finest
+        that a photograph shows, and hardly any is among those of the next one, too. All images must have one choice."""
+        if self.choice != "auto":
+            return self
+        crowded = min(pixels, self.max_pixels) > CROWDED * self.max_features
+        return replace(self, choice="largest" if crowded else "strongest")
 
 
 @dataclass(frozen=True)
@@ -79,13 +91,16 @@ def extract_sift(path: Path, options: SiftOptions, used: Bool[Tensor, "height wi
     """
     image, (across, down) = _reduced(read_color(path), options.max_pixels)
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    options = options.for_images(grey.size)
     allowed = None if used is None else _resized_mask(used, grey)
     share = 1.0 if allowed is None else float(allowed.mean())
     enough = min(share * grey.size / PIXELS_A_KEYPOINT, ENOUGH, options.max_features)
-    faintest = FAINTEST_LARGE if options.choice == "largest" else 1.0
-    keypoints = _distinct(_detect(grey, options, faintest, allowed), options, enough)
-    if len(keypoints) < enough:
-        keypoints = _distinct(_detect(grey, options, FAINTEST, allowed), options, enough)
+    if options.choice == "largest":
+        keypoints = _largest(_detect(grey, options, FAINTEST, allowed), options)
+    else:
+        keypoints = _strongest(_detect(grey, options, 1.0, allowed), options, enough)
+        if len(keypoints) < enough:
+            keypoints = _strongest(_detect(grey, options, FAINTEST, allowed), options, enough)
     keypoints, descriptors = _sift(options, FAINTEST).compute(grey, keypoints)
     if not len(keypoints):
         descriptors = np.zeros((0, 128), dtype=np.float32)
@@ -149,24 +164,32 @@ def _detect(
     return [keypoint for keypoint, away in far if away > REACH * keypoint.size]
 
 
-def _distinct(keypoints: Sequence[cv2.KeyPoint], options: SiftOptions, enough: float) -> list[cv2.KeyPoint]:
-    """Those that come up to the threshold, which is lowered for an image that has not `enough` otherwise.
-
-    Where these are more than are wanted options.choice decides. Large keypoints are found again more often: noise of
-    pixels is averaged over them, so that what it makes of their contrast falls with their size, and fainter ones will
-    do. Beyond PREFERRED that gains little, but their places become less certain.
-    """
-    size = np.array([keypoint.size for keypoint in keypoints])
+def _strongest(keypoints: Sequence[cv2.KeyPoint], options: SiftOptions, enough: float) -> list[cv2.KeyPoint]:
+    """Those of the highest contrast that come up to the threshold, which is lowered for an image that has not `enough`
+    otherwise."""
     contrast = options.octave_layers * np.array([keypoint.response for keypoint in keypoints])
     threshold = options.contrast_threshold
     while (distinct := contrast >= threshold).sum() < enough and threshold > FAINTEST * options.contrast_threshold:
         threshold /= 2.0
-    first = contrast
-    if options.choice == "largest" and distinct.sum() > options.max_features:
-        distinct = contrast >= threshold * np.maximum(SMALLEST / size, FAINTEST_LARGE)
-        first = np.minimum(size, PREFERRED**2 / np.maximum(size, PREFERRED))
     rows = distinct.nonzero()[0]
-    rows = rows[np.lexsort((-contrast[rows], -first[rows]))]
+    rows = rows[np.argsort(-contrast[rows], kind="stable")]
+    return [keypoints[row] for row in rows[: options.max_features]]
+
+
+def _largest(keypoints: Sequence[cv2.KeyPoint], options: SiftOptions) -> list[cv2.KeyPoint]:
+    """Those whose diameter is nearest to PREFERRED, as a factor, and of these the ones of the highest contrast.
+
+    Large keypoints are found again more often: noise of pixels is averaged over them, so that what it makes of their
+    contrast falls with their size, and faint ones will do. Beyond PREFERRED that gains little, but their places become
+    less certain.
+    """
+    if not keypoints:
+        return []
+    size = np.array([keypoint.size for keypoint in keypoints])
+    contrast = np.array([keypoint.response for keypoint in keypoints])
+    order = np.lexsort((-contrast, -np.minimum(size, PREFERRED**2 / size)))
+    place = torch.from_numpy(np.column_stack((_positions(keypoints), size))[order])
+    rows = order[(equal_before(place) < ORIENTATIONS).numpy()]
     return [keypoints[row] for row in rows[: options.max_features]]
 
 

@@ -27,3 +27,11 @@ def first_of_each(group: Int[Tensor, " n"]) -> Int[Tensor, " n"]:
 def first_equal(rows: Shaped[Tensor, "n k"]) -> Int[Tensor, " n"]:
     """For each row the first one that is equal to it."""
     return first_of_each(torch.unique(rows, dim=0, return_inverse=True)[1])
+
+
+def equal_before(rows: Shaped[Tensor, "n k"]) -> Int[Tensor, " n"]:
+    """For each row how many of those before it are equal to it."""
+    group = torch.unique(rows, dim=0, return_inverse=True)[1]
+    order, count = group.argsort(stable=True), torch.bincount(group)
+    first = (count.cumsum(0) - count).repeat_interleave(count)
+    return torch.empty_like(group).scatter_(0, order, torch.arange(len(group), device=group.device) - first)
