@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.files.two_cameras import two_camera_scene
-from torchrefrac.dense.common_errors import common_deviation
+from torchrefrac.dense.common_errors import common_deviations
 from torchrefrac.scene import Assessment, Observations
 
 EYE = torch.eye(3, dtype=torch.float64)
@@ -26,15 +26,17 @@ def scene(draw):
 def test_it_is_the_mean_of_the_nearest_tie_points(scene, draw):
     places = draw.uniform(-1.0, 1.0, 10, 3)
 
-    found = common_deviation(places, scene)
+    found = common_deviations(places, scene)
 
-    for place, sigma in zip(places, found.tolist(), strict=True):
+    for place, sigma, along in zip(places, found.largest.tolist(), found.along.tolist(), strict=True):
         nearest = (scene.points - place).norm(dim=1).argsort()[:8]
-        assert sigma**2 == pytest.approx(float((2.0 + scene.points[nearest, 0]).mean()))
+        variance = float((2.0 + scene.points[nearest, 0]).mean())
+        assert sigma**2 == pytest.approx(variance)
+        assert [one**2 for one in along] == pytest.approx([0.1 * variance, 0.2 * variance, variance])
 
 
 def test_where_nothing_is_known_it_is_nothing(scene, draw):
     places = draw.normal(5, 3)
 
-    assert common_deviation(places, replace(scene, assessment=Assessment())).tolist() == [0.0] * 5
-    assert common_deviation(places[:0], scene).shape == (0,)
+    assert common_deviations(places, replace(scene, assessment=Assessment())).largest.tolist() == [0.0] * 5
+    assert common_deviations(places[:0], scene).along.shape == (0, 3)

@@ -25,6 +25,8 @@ def make_cloud(draw):
             reference=torch.randint(300, (count,), generator=draw.generator),
             relative_sigma=draw.power_of_ten(-3.0, -1.0, count),
             length_unit="m",
+            axis_sigma=draw.power_of_ten(-3.0, -1.0, count, 3),
+            common_sigma=draw.power_of_ten(-3.0, -1.0, count),
         )
 
     return make
@@ -51,14 +53,13 @@ def test_a_dense_cloud_survives_the_file_in_single_precision(tmp_path, make_clou
     write_dense(cloud, tmp_path / "dense.ply")
     loaded = load_dense(tmp_path / "dense.ply")
 
-    for name in ("points", "normals", "sigma", "score"):
+    for name in ("points", "normals", "sigma", "score", "relative_sigma", "axis_sigma", "common_sigma"):
         assert torch.equal(getattr(loaded, name), getattr(cloud, name).float().double())
     for name in ("colors", "views", "reference"):
         assert torch.equal(getattr(loaded, name), getattr(cloud, name))
     assert loaded.length_unit == "m"
-    assert [getattr(loaded, field.name).dtype for field in fields(cloud)[:-1]] == [
-        getattr(cloud, field.name).dtype for field in fields(cloud)[:-1]
-    ]
+    numbers = [field.name for field in fields(cloud) if field.name != "length_unit"]
+    assert [getattr(loaded, name).dtype for name in numbers] == [getattr(cloud, name).dtype for name in numbers]
 
 
 def test_the_properties_have_the_names_and_types_that_viewers_know(tmp_path, make_cloud):
@@ -71,7 +72,7 @@ def test_the_properties_have_the_names_and_types_that_viewers_know(tmp_path, mak
         *(f"property uchar {name}" for name in ("red", "green", "blue")),
         "property ushort views",
         "property float sigma",
-        "property float sigma_relative",
+        *(f"property float sigma_{of}" for of in ("relative", "x", "y", "z", "common")),
         "property float score",
         "property int reference",
     ]
@@ -120,8 +121,22 @@ def test_properties_may_stand_in_any_order_and_type_among_others(tmp_path, make_
     write_vertices([*columns[::-1], ("label", "i2", torch.zeros(50))], tmp_path / "other.ply", comments)
 
     one, other = load_dense(tmp_path / "dense.ply"), load_dense(tmp_path / "other.ply")
-    for field in fields(cloud)[:-1]:
-        assert torch.equal(getattr(one, field.name), getattr(other, field.name))
+    for field in fields(cloud):
+        if field.name != "length_unit":
+            assert torch.equal(getattr(one, field.name), getattr(other, field.name))
+
+
+def test_a_cloud_without_sigmas_along_axes_takes_its_sigma(tmp_path, make_cloud):
+    write_dense(make_cloud(5), tmp_path / "dense.ply")
+    vertices, comments = read_vertices(tmp_path / "dense.ply")
+    older = [name for name in vertices.dtype.names if name not in ("sigma_x", "sigma_y", "sigma_z", "sigma_common")]
+    columns = [(name, vertices.dtype[name].str[1:], torch.from_numpy(vertices[name].copy())) for name in older]
+
+    write_vertices(columns, tmp_path / "older.ply", comments)
+    loaded = load_dense(tmp_path / "older.ply")
+
+    assert torch.equal(loaded.axis_sigma, loaded.sigma[:, None].expand(-1, 3))
+    assert torch.allclose(loaded.common_sigma.square(), (loaded.sigma**2 - loaded.relative_sigma**2).clamp(min=0.0))
 
 
 def test_big_endian_files_and_windows_line_ends_are_read(tmp_path):
@@ -148,8 +163,8 @@ def test_elements_behind_the_vertices_are_passed_over(tmp_path):
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        (lambda data: data[:-1], "damaged: it has 449 bytes behind its header, but 10 vertices take 450"),
-        (lambda data: data + b"\0", "damaged: it has 451 bytes behind its header, but 10 vertices take 450"),
+        (lambda data: data[:-1], "damaged: it has 609 bytes behind its header, but 10 vertices take 610"),
+        (lambda data: data + b"\0", "damaged: it has 611 bytes behind its header, but 10 vertices take 610"),
         (lambda data: data[:40], "not a PLY file"),
         (lambda data: b"", "not a PLY file"),
         (lambda data: b"solid" + data, "not a PLY file"),
@@ -162,7 +177,7 @@ def test_elements_behind_the_vertices_are_passed_over(tmp_path):
         (lambda data: data.replace(b"vertex 10", b"vertex ten"), "must begin with 'element vertex' and its number"),
         (lambda data: data.replace(b"element vertex 10\n", b""), "must begin with 'element vertex'"),
         (lambda data: data.replace(b"float x", b"half x"), "'property half x' is not a property of one number"),
-        (lambda data: data[:-41] + b"\xff" * 41, "a coordinate that is not finite"),
+        (lambda data: data[:-61] + b"\xff" * 61, "a coordinate that is not finite"),
     ],
 )
 def test_a_damaged_cloud_is_named_with_what_is_wrong(tmp_path, make_cloud, change, problem):

@@ -15,7 +15,16 @@ from torchrefrac.files.library import embedded_scene
 from torchrefrac.files.ply import read_vertices
 from torchrefrac.files.truth import load_truth
 from torchrefrac.geometry import Rigid
-from torchrefrac.scene import Assessment, Cameras, CaptureError, Interfaces, Observations, Scene, SceneError
+from torchrefrac.scene import (
+    Assessment,
+    Cameras,
+    CaptureError,
+    Georeference,
+    Interfaces,
+    Observations,
+    Scene,
+    SceneError,
+)
 
 CAMERAS_JSON = """{
     "format": "torchrefrac-cameras/1", "length_unit": "cm", "index_ratio": 1.333, "pixel_origin": "corner",
@@ -48,6 +57,12 @@ def scene(draw):
     )
     views = replace(scene.views, registered=torch.tensor([True, False]))
     return replace(scene, views=views, failures={"b.png": "sees nothing"})
+
+
+def test_where_the_frame_stands_survives_the_file(tmp_path, scene):
+    place = Georeference("EPSG:32633", (412345.0, 5312345.0, 431.25), "EPSG:5773", 0.9996267853446436)
+    write_cameras(replace(scene, georeference=place), tmp_path / "cameras.json")
+    assert read_cameras(tmp_path / "cameras.json").georeference == place
 
 
 def test_cameras_survive_the_file_to_the_last_bit(tmp_path, scene):

@@ -2,7 +2,7 @@
 
 import math
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -232,6 +232,14 @@ def test_points_on_a_line_are_a_row_of_cells():
 
     assert raster.height.shape == (1, 11)
     assert raster.valid.all()
+
+
+def test_what_points_have_in_common_does_not_fall_with_their_number():
+    many = cloud_of([[0.5, 0.5, 1.0]] * 100, sigma=0.1)
+    axes = torch.tensor((9.0, 9.0, 0.05)).double().expand(100, 3)
+    cloud = replace(many, axis_sigma=axes, common_sigma=torch.full((100,), 0.03, dtype=torch.float64))
+
+    assert rasterize(cloud, cell_size=1.0).sigma.item() == pytest.approx(math.hypot(0.04 / math.sqrt(100), 0.03))
 
 
 def test_points_that_are_exact_have_the_sigma_of_their_scatter():

@@ -115,7 +115,8 @@ def reconstruct(
             focal := better_focal(found, replace(stated, cameras=found.cameras), matches, features, verified.sfm)
         ) is not None:
             known = replace(known, wished={"focal": focal})
-        found = replace(found, assessment=known)
+        place = stated.georeference if known.lowered_by is not None else None
+        found = replace(found, assessment=known, georeference=place and place.raised(known.lowered_by or 0.0))
         about_positions = position_contradictions(found, stated)
         return replace(found, findings=(*contradictions(found, stated), *about_positions, *doubts(stated)))
 

@@ -1,5 +1,7 @@
 """What dense points have in common with the tie points about them: the errors of cameras and water."""
 
+from dataclasses import dataclass
+
 import torch
 from jaxtyping import Float
 from scipy.spatial import KDTree
@@ -10,21 +12,32 @@ from torchrefrac.scene import Scene, largest_deviation
 NEIGHBOURS = 8
 
 
-def common_deviation(points: Float[Tensor, "n 3"], scene: Scene) -> Float[Tensor, " n"]:
-    """Standard deviation, along the axis in which it is largest, of what errors of cameras and water do to each point.
+@dataclass(frozen=True)
+class CommonDeviations:
+    """Standard deviations of what errors of cameras and water do to n points: along the axis in which it is largest,
+    and along x, y and z."""
+
+    largest: Float[Tensor, " n"]
+    along: Float[Tensor, "n 3"]
+
+
+def common_deviations(points: Float[Tensor, "n 3"], scene: Scene) -> CommonDeviations:
+    """What errors of cameras and water do to each point.
 
     Of a tie point it is what its covariance has beyond the one relative to the cameras; it changes slowly over a scene,
     and the mean of the nearest tie points holds for what lies between them. Zero where the scene does not know it.
     """
     known = scene.assessment
+    nothing = CommonDeviations(points.new_zeros(len(points)), torch.zeros_like(points))
     if known.point_covariance is None or known.relative_covariance is None or not len(points):
-        return points.new_zeros(len(points))
+        return nothing
     usable = scene.placed & known.point_covariance.isfinite().all(dim=(1, 2))
     common = (known.point_covariance - known.relative_covariance)[usable]
     if not len(common):
-        return points.new_zeros(len(points))
+        return nothing
     tree = KDTree(scene.points[usable].cpu().numpy())
     count = min(NEIGHBOURS, len(common))
     _, found = tree.query(points.cpu().numpy(), k=count)
     nearest = torch.from_numpy(found).reshape(len(points), count).to(common.device)
-    return largest_deviation(common).square()[nearest].mean(dim=1).sqrt().to(points)
+    along = common.diagonal(dim1=1, dim2=2).clamp(min=0.0)[nearest].mean(dim=1).sqrt()
+    return CommonDeviations(largest_deviation(common).square()[nearest].mean(dim=1).sqrt().to(points), along.to(points))

@@ -6,12 +6,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.checks import TorchrefracError
-from torchrefrac.dense.common_errors import common_deviation
+from torchrefrac.dense.common_errors import common_deviations
 from torchrefrac.dense.filling import METHODS, fill_views
 from torchrefrac.dense.fusion import THICKNESS, fuse, of_surfaces, supported, unobstructing
 from torchrefrac.dense.images import Images, photographs
@@ -68,8 +68,16 @@ def densify(
     patches = Patches.together(parts) if len(media) > 1 else parts[0]
     colors = pictures[0].colors(patches.reference, patches.pixels)
     recorder.scalar("dense/points", len(patches), 0)
-    common = common_deviation(patches.points, scene)
-    return Dense(patches.cloud(colors, common, scene.length_unit), *parts)
+    rays = torch.cat([_rays(part, medium.scene) for part, medium in zip(parts, media, strict=False)])
+    common = common_deviations(patches.points, scene)
+    return Dense(patches.cloud(colors, rays, common, scene.length_unit), *parts)
+
+
+def _rays(patches: Patches, scene: Scene) -> Float[Tensor, "n 3"]:
+    """Directions of the viewing rays at the patches."""
+    if not len(patches):
+        return patches.points
+    return scene.camera_of(patches.reference).cast_rays(patches.pixels)[1]
 
 
 def _surface(

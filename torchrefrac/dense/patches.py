@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
+from torchrefrac.dense.common_errors import CommonDeviations
 from torchrefrac.scene import DenseCloud
 
 
@@ -73,12 +74,15 @@ class Patches:
         """The same on another device."""
         return Patches(*(getattr(self, f.name).to(device) for f in fields(self)))
 
-    def cloud(self, colors: UInt8[Tensor, "n 3"], common: Float[Tensor, " n"], length_unit: str) -> DenseCloud:
-        """What remains of them where nobody asks for pixels any more. common: standard deviation of what errors of
-        cameras and water do to each."""
-        sigma = torch.hypot(self.sigma, common)
+    def cloud(
+        self, colors: UInt8[Tensor, "n 3"], rays: Float[Tensor, "n 3"], common: CommonDeviations, length_unit: str
+    ) -> DenseCloud:
+        """What remains of them where nobody asks for pixels any more. rays: unit vectors of their viewing rays, along
+        which each is uncertain by itself."""
+        sigma = torch.hypot(self.sigma, common.largest)
+        axes = torch.hypot(self.sigma[:, None] * rays, common.along)
         known = (self.points, self.normals, colors, sigma, self.score, self.views, self.reference, self.sigma)
-        return DenseCloud(*known, length_unit)
+        return DenseCloud(*known, length_unit, axes, common.along[:, 2])
 
     @property
     def views(self) -> Int[Tensor, " n"]:

@@ -34,8 +34,9 @@ def rasterize(cloud: DenseCloud, cell_size: float | None = None) -> Raster:
     A cell's height is the mean of the points of the highest surface in it that is well supported, weighted by
     1 / sigma^2. A surface is all that lies within 3 sigma, or the size of a cell where that is more, of its height;
     well supported is one with at least two points and a quarter of those of the best supported one of the cell (where
-    no two points of a cell lie together, the points of the eight cells around it count too). The cell's sigma is the
-    larger of what the sigmas and what the scatter of these points say. A hole with at least five of eight neighbours is
+    no two points of a cell lie together, the points of the eight cells around it count too). The cell's sigma, of its
+    height, has two parts: the larger of what the sigmas and what the scatter of these points say, which falls with
+    their number, and what they have in common (`common_sigma`), which does not. A hole with at least five of eight neighbours is
     the mean of opposite neighbours, exact where the surface is plane, and marked `filled`; its sigma counts half their
     difference. Edges of cells lie at multiples of cell_size. Left out are points and sigmas that are not finite, and
     points far outside of where nearly all lie: beyond the range of the middle 98 %, by more than twice that range.
@@ -136,6 +137,8 @@ def _upper_surface(
     of each point, in a grid `width` cells wide; see `rasterize` for what the upper surface is."""
     keys, order = _keys(cell, cloud.points[:, 2], cloud.points[:, 2]).sort()
     z, sigma, colors, cell = cloud.points[order, 2], cloud.sigma[order], cloud.colors[order], cell[order]
+    common = cloud.common_sigma[order].square()
+    own = (cloud.axis_sigma[order, 2].square() - common).clamp(min=0.0)
     occupied, segment, members = cell.unique_consecutive(return_inverse=True, return_counts=True)
     thickness = (SIGMAS * sigma).clamp(min=cell_size)
 
@@ -166,10 +169,11 @@ def _upper_surface(
         level = segment_sum(weight * chosen * z, segment, len(occupied)) / total
     share = weight * chosen / total[segment]
     count = segment_sum(chosen.long(), segment, len(occupied))
-    formal = segment_sum((share * sigma) ** 2, segment, len(occupied))
+    formal = segment_sum(share.square() * own, segment, len(occupied))
+    together = segment_sum(share * common, segment, len(occupied))
     scatter = segment_sum(share * (z - level[segment]) ** 2, segment, len(occupied)) / (count - 1).clamp(min=1)
     color = segment_sum(share[:, None] * colors, segment, len(occupied))
-    return occupied, torch.stack((level, torch.maximum(formal, scatter).sqrt(), *color.T)), count
+    return occupied, torch.stack((level, (torch.maximum(formal, scatter) + together).sqrt(), *color.T)), count
 
 
 def _keys(cell: Int[Tensor, " n"], z: Float[Tensor, " n"], every_z: Float[Tensor, " all"]) -> Int[Tensor, " n"]:

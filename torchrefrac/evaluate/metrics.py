@@ -78,7 +78,8 @@ def against_positions(scene: Scene) -> dict[str, float]:
     """Of a scene in the frame of the positions that its capture states.
 
     With UNIT its length unit: position_rms_UNIT and position_rms_vertical_UNIT of registered cameras, horizontally and
-    in height; water_level_UNIT, the height of the water among the positions; heading_off_deg, the median difference of
+    in height; water_level_UNIT and water_level_sigma_UNIT, the height of the water among the positions and its standard
+    deviation; heading_off_deg, the median difference of
     headings, where these are stated.
     """
     capture, lowered, unit = scene.capture, scene.assessment.lowered_by, scene.length_unit
@@ -93,6 +94,8 @@ def against_positions(scene: Scene) -> dict[str, float]:
     }
     if scene.interfaces.refract():
         found[f"water_level_{unit}"] = lowered
+        if scene.assessment.water_level_sigma is not None:
+            found[f"water_level_sigma_{unit}"] = scene.assessment.water_level_sigma
     compass = views.registered & capture.has_heading
     if bool(compass.any()):
         _, heading = split_heading(views.rotation[compass])

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.files.fields import Fields, different_names, scene_fields, write_json
+from torchrefrac.files.georeference import GEOREFERENCE, georeference_content, read_georeference
 from torchrefrac.files.intrinsics import (
     camera_of_images,
     cameras_content,
@@ -62,7 +63,8 @@ def load_cameras(run: str | Path) -> NamedCameras:
 
 def write_cameras(scene: Scene, path: Path) -> None:
     """Write poses, intrinsics, index ratio and, where it is known, the covariance of each registered view's centre, in
-    squares of the length unit; the frame and the convention of pixels are those of the package.
+    squares of the length unit; the frame and the convention of pixels are those of the package, and where the frame
+    stands on Earth, if that is known.
 
     Raises SceneError for water that is not the plane z = 0: the file has no place for it.
     """
@@ -86,7 +88,13 @@ def write_cameras(scene: Scene, path: Path) -> None:
         else:
             entry["reason"] = scene.failures.get(name, "")
         images.append(entry)
-    known = {"length_unit": scene.length_unit, "index_ratio": scene.index_ratio, "pixel_origin": "corner"}
+    known: dict[str, object] = {
+        "length_unit": scene.length_unit,
+        "index_ratio": scene.index_ratio,
+        "pixel_origin": "corner",
+    }
+    if scene.georeference is not None:
+        known[GEOREFERENCE] = georeference_content(scene.georeference)
     lenses: dict[str, object] = {"cameras": cameras_content(cameras)}
     if not several:
         lenses = {"intrinsics": intrinsics_content(cameras[0])}
@@ -123,6 +131,7 @@ def read_cameras(path: Path) -> Scene:
             length_unit=top.length_unit(),
             failures={image.text("name"): image.text("reason", "") for image in images if not image.flag("registered")},
             assessment=_assessment(registered),
+            georeference=read_georeference(top),
         )
 
 

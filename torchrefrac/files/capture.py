@@ -9,20 +9,21 @@ import torch
 from torchrefrac.camera import Intrinsics
 from torchrefrac.files.extent import read_extent
 from torchrefrac.files.fields import Fields, different_names, read_json
+from torchrefrac.files.georeference import GEOREFERENCE, read_georeference
 from torchrefrac.files.interface import read_index_ratio
 from torchrefrac.files.intrinsics import camera_of_images, read_cameras_table, read_intrinsics
 from torchrefrac.files.masks import IMAGES, Masks
 from torchrefrac.files.measured import FIELDS as MEASURED
 from torchrefrac.files.measured import read_measured, require_for_all
 from torchrefrac.files.photographs import DamagedPhotographError, check_photograph, read_grey
-from torchrefrac.scene import Cameras, Capture, CaptureError, Georeference, Interfaces, WaterExtent
+from torchrefrac.scene import Cameras, Capture, CaptureError, Interfaces, WaterExtent
 
 FORMAT = "torchrefrac-capture/1"
 SEVERAL = "torchrefrac-capture/2"
 """The format with several cameras, positions, and gravity of some images only."""
 PIXEL_SHIFT = {"center": 0.5, "corner": 0.0}
 OF_SURFACE = ("format", "length_unit", "index_ratio", "pixel_origin", "down_in_cam_sigma_deg", "water_extent", "images")
-OF_CAPTURE = ("folder", "interface", "cameras", "height_sigma", "position_sigma", "georeference")
+OF_CAPTURE = ("folder", "interface", "cameras", "height_sigma", "position_sigma", GEOREFERENCE)
 
 
 def load_capture(folder: str | Path) -> Capture:
@@ -60,7 +61,7 @@ def load_capture(folder: str | Path) -> Capture:
         interfaces=Interfaces.level(read_index_ratio(top)),
         length_unit=top.length_unit(),
         water_extent=_water_extent(top, images),
-        georeference=_georeference(top),
+        georeference=read_georeference(top),
         **read_measured(top, images),
     )
     whole = [i for i, path in enumerate(paths) if path not in damaged]
@@ -111,15 +112,6 @@ def _names(images: list[Fields], several: bool) -> tuple[str, ...]:
 def _where(camera: str, several: bool) -> str:
     """Where a file states the size of the images of a camera."""
     return f"cameras.{camera}" if several else "intrinsics"
-
-
-def _georeference(top: Fields) -> Georeference | None:
-    if "georeference" not in top:
-        return None
-    fields = top.object("georeference")
-    fields.only("crs", "origin", "vertical")
-    east, north, up = fields.position("origin")
-    return Georeference(fields.text("crs"), (east, north, up), fields.text("vertical", "") or None)
 
 
 def _water_extent(top: Fields, images: list[Fields]) -> WaterExtent | None:

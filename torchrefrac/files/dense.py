@@ -16,13 +16,14 @@ DEPTH_MAP_FORMAT = "torchrefrac-depth-map/1"
 GRIDS = {"points": "n:hw3", "depth": "n:hw", "sigma": "n:hw", "valid": "b:hw"}
 DEPTH_MAP = {"name": "U:", "step": "i:", **GRIDS, "length_unit": "U:"}
 POSITION, NORMAL, COLOR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
+AXES, COMMON = ("sigma_x", "sigma_y", "sigma_z"), "sigma_common"
 UNIT = "length_unit"
 MOST_VIEWS = 65535
 
 
 def write_dense(cloud: DenseCloud, path: str | Path) -> None:
-    """Write a dense cloud as binary PLY: x y z nx ny nz red green blue views sigma sigma_relative score reference
-    of every vertex.
+    """Write a dense cloud as binary PLY: x y z nx ny nz red green blue views sigma sigma_relative sigma_x sigma_y
+    sigma_z sigma_common score reference of every vertex.
 
     Numbers are float32, colours uchar, views ushort (at most 65535), reference int32; the unit of length is a comment
     of the header. Coordinates are float64 where one is more than a million times the median sigma, which float32 would
@@ -33,6 +34,8 @@ def write_dense(cloud: DenseCloud, path: str | Path) -> None:
     columns = [(name, k, column) for names, k, of in triples for name, column in zip(names, of.T, strict=True)]
     columns += [("views", "u2", cloud.views.clamp(max=MOST_VIEWS)), ("sigma", "f4", cloud.sigma)]
     columns += [("sigma_relative", "f4", cloud.relative_sigma)]
+    axes = zip(AXES, cloud.axis_sigma.T, strict=True)
+    columns += [*((name, "f4", along) for name, along in axes), (COMMON, "f4", cloud.common_sigma)]
     columns += [("score", "f4", cloud.score), ("reference", "i4", cloud.reference)]
     write_vertices(columns, Path(path), comments=(f"{UNIT} {cloud.length_unit}",))
 
@@ -56,7 +59,9 @@ def load_dense(path: str | Path) -> DenseCloud:
     def columns(names: Sequence[str], dtype: type = np.float64) -> Shaped[Tensor, "n k"]:
         return torch.from_numpy(np.stack([vertices[name].astype(dtype) for name in names], axis=-1))
 
-    relative = "sigma_relative" if "sigma_relative" in (vertices.dtype.names or ()) else "sigma"
+    known = vertices.dtype.names or ()
+    relative = "sigma_relative" if "sigma_relative" in known else "sigma"
+    of_axes = {"axis_sigma": columns(AXES), "common_sigma": columns((COMMON,))[:, 0]} if COMMON in known else {}
     cloud = DenseCloud(
         points=columns(POSITION),
         normals=columns(NORMAL),
@@ -65,6 +70,7 @@ def load_dense(path: str | Path) -> DenseCloud:
         **{name: columns((name,), np.int64)[:, 0] for name in ("views", "reference")},
         relative_sigma=columns((relative,))[:, 0],
         length_unit=units[0],
+        **of_axes,
     )
     if not cloud.points.isfinite().all():
         raise DenseFileError(f"{path} is damaged: it has a coordinate that is not finite")

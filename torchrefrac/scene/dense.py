@@ -1,6 +1,6 @@
 """What a dense reconstruction consists of: oriented points, and what each image sees of the surface."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
@@ -15,6 +15,9 @@ class DenseCloud:
     known of cameras and water; relative_sigma: of its distance along its viewing ray, as if these were known, both in
     length_unit; score: mean zero-normalised cross-correlation (at most 1) of the reference view with the
     others; views: by how many a point is seen, the reference included; reference: index of the reference view.
+    axis_sigma: standard deviations along x, y and z, by default sigma; common_sigma: the part of that along z which a
+    point has in common with those about it, as it is that of cameras and water, by default what sigma has beyond
+    relative_sigma.
     """
 
     points: Float[Tensor, "n 3"]
@@ -26,13 +29,22 @@ class DenseCloud:
     reference: Int[Tensor, " n"]
     relative_sigma: Float[Tensor, " n"]
     length_unit: str
+    axis_sigma: Float[Tensor, "a 3"] = field(default_factory=lambda: torch.zeros(0, 3, dtype=torch.float64))
+    common_sigma: Float[Tensor, " a"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
+
+    def __post_init__(self) -> None:
+        if len(self.axis_sigma) != len(self):
+            beyond = (self.sigma.square() - self.relative_sigma.square()).clamp(min=0.0).sqrt()
+            object.__setattr__(self, "axis_sigma", self.sigma[:, None].expand(-1, 3))
+            object.__setattr__(self, "common_sigma", beyond)
 
     def __len__(self) -> int:
         return len(self.points)
 
     def __getitem__(self, rows: Bool[Tensor, " n"] | Int[Tensor, " k"]) -> "DenseCloud":
         """Some of the points, by a mask or indices."""
-        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)[:-1]})
+        names = (f.name for f in fields(self) if f.name != "length_unit")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     @classmethod
     def empty(cls, length_unit: str) -> "DenseCloud":

@@ -13,6 +13,7 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.geometry import Rigid
 from torchrefrac.scene.capture import Capture
 from torchrefrac.scene.findings import Finding
+from torchrefrac.scene.georeference import Georeference
 from torchrefrac.scene.interfaces import Interfaces
 from torchrefrac.scene.tables import Cameras, Observations, Views
 
@@ -45,6 +46,7 @@ class Assessment:
     stopped_after: iterations of the last adjustment, where it stopped before it converged.
     lowered_by: how much lower than the positions that the capture states the scene stands, in whose frame it is
     otherwise: by the height of the water there; None: it is in a frame of its own.
+    water_level_sigma: of the height of the water among the positions; None: it is not known.
     water_stated: index ratio of water that was stated, but that the images do not show; None: there is none such.
     in_air_and_water: of a scene without refraction, what its typical reprojection error is and would be under water.
     """
@@ -67,6 +69,7 @@ class Assessment:
     levels: Float[Tensor, " m"] | None = None
     stopped_after: int | None = None
     lowered_by: float | None = None
+    water_level_sigma: float | None = None
     water_stated: float | None = None
     in_air_and_water: tuple[float, float] | None = None
 
@@ -108,6 +111,7 @@ class Scene:
     is no water before them (None: no point is known to be so). Observations ascend by point; `accepted` are those that
     support a placed point in a registered view. failures: why a view is not registered, by name. findings: what the
     images say against what was stated. capture: the photographs of the views, in their order, where they are at hand.
+    georeference: where the scene's own frame stands on Earth, its origin in the water's surface, where that is known.
 
     Raises SceneError where shapes do not fit together, an index is out of range or observations do not ascend.
     """
@@ -126,6 +130,7 @@ class Scene:
     assessment: Assessment = field(default_factory=Assessment)
     findings: tuple[Finding, ...] = ()
     capture: Capture | None = None
+    georeference: Georeference | None = None
 
     @classmethod
     def of_capture(

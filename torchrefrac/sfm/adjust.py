@@ -182,4 +182,5 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         surface_moves=known.common is not None and known.common.moving_slope > known.common.still_slope,
         common_tilt=None if known.common is None else known.common.tilt(len(scene.views)),
         growth=known.growth,
+        water_level_sigma=float(known.planes[0, 2]) if "plane_height" in problem.layout.water else None,
     )

@@ -13,6 +13,7 @@ from torchrefrac.files.metadata.attitude import angles_of
 from torchrefrac.files.metadata.dji_tags import DroneTags
 from torchrefrac.files.metadata.local_frame import REMEDY, Grid, has_projections
 from torchrefrac.geometry import so3_exp
+from torchrefrac.scene import Georeference
 from torchrefrac.synthetic.options import SyntheticOptions, seeded
 from torchrefrac.synthetic.stage import Stage, StageError
 
@@ -34,8 +35,10 @@ def drone_tags(stage: Stage, intrinsics: Sequence[Intrinsics], options: Syntheti
     sigma = options.drone.position_sigma
     error = torch.randn(stage.center.shape, generator=seeded(options.seed, "satellites"), dtype=torch.float64)
     spread = error.new_tensor((sigma[0], sigma[0], sigma[1]))
-    position = stage.center + spread * error + error.new_tensor(ORIGIN)
-    latitude, longitude, north = Grid(CRS).degrees(position[:, :2].numpy())
+    grid = Grid(CRS)
+    place = Georeference(CRS, ORIGIN, scale=grid.scale_at(ORIGIN, ORIGIN[2]))
+    position = place.coordinates(stage.center + spread * error)
+    latitude, longitude, north = grid.degrees(position[:, :2].numpy())
     yaw, pitch, roll = (angle.rad2deg() for angle in _gimbal(stage.rotation, options))
     rows = zip(
         latitude, longitude, position[:, 2].tolist(), (yaw - torch.from_numpy(north)).tolist(), pitch.tolist(),

@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
 from torchrefrac.files.metadata import local_frame, placing
 from torchrefrac.files.metadata.local_frame import Grid, zone_of
 from torchrefrac.files.metadata.placing import Place, place_all
 from torchrefrac.files.metadata.position import Vertical
-from torchrefrac.scene import CaptureError
+from torchrefrac.scene import CaptureError, Georeference
 
 E, S, T, STATED = Vertical.ELLIPSOID, Vertical.SEA_LEVEL, Vertical.TAKE_OFF, Vertical.TABLE
 FIRST = {S: 200.0, T: 40.0}
@@ -67,7 +68,9 @@ def test_differences_of_positions_are_those_on_the_earth():
     w = math.sqrt(1.0 - e2 * math.sin(phi) ** 2)
     north, east = (a * (1.0 - e2) / w**3, a / w * math.cos(phi))
     lengths = np.linalg.norm(found.position[1:] - found.position[0], axis=1)
-    assert lengths == pytest.approx([math.radians(step) * north, math.radians(step) * east], rel=5e-4)
+    stretched = 1.0 + 200.0 / 6.371e6  # of distances at the height of the photographs
+    assert lengths == pytest.approx([stretched * math.radians(step) * part for part in (north, east)], rel=2e-6)
+    assert found.scale == pytest.approx(0.9996 * (1.0 + (76.6 / 6371.0) ** 2 / 2.0) / stretched, rel=2e-6)
     assert found.crs == "EPSG:32615"
     assert all(float(part).is_integer() for part in found.origin)
     assert np.abs(found.position[:, :2]).max() < 20.0
@@ -80,7 +83,8 @@ def test_points_keep_every_digit_through_the_origin():
 
     found = place_all(points, "EPSG:32615", None)
 
-    back = found.position + np.array(found.origin)
+    place = Georeference("EPSG:32615", found.origin, scale=found.scale)
+    back = place.coordinates(torch.from_numpy(found.position)).numpy()
     assert back[:, :2] == pytest.approx(np.array([one.point for one in points]), abs=1e-9)
     assert found.sigma.tolist() == [[0.02, 0.02, 0.03]] * 2
     assert found.vertical is STATED

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from torchrefrac.files.capture import SEVERAL as FORMAT
+from torchrefrac.files.georeference import GEOREFERENCE, georeference_content
 from torchrefrac.files.metadata.gathered import Gathered
 from torchrefrac.files.metadata.lens import DIGITS, Lens
 from torchrefrac.files.metadata.placing import Placement
 from torchrefrac.files.metadata.position import Vertical
 from torchrefrac.scene.capture import CaptureError
+from torchrefrac.scene.georeference import Georeference
 
 BAROMETER_SIGMA = 0.5  # m; of a height above the place of the take-off, with the drift of a flight
 
@@ -42,9 +44,9 @@ def capture_content(
     if position_sigma is not None:
         content["position_sigma"] = [_rounded(sigma) for sigma in position_sigma]
     if placement.crs is not None:
-        content["georeference"] = {"crs": placement.crs, "origin": list(placement.origin)}
-        if placement.vertical not in (None, Vertical.TABLE):
-            content["georeference"]["vertical"] = str(placement.vertical)
+        vertical = None if placement.vertical in (None, Vertical.TABLE) else str(placement.vertical)
+        place = Georeference(placement.crs, placement.origin, vertical, placement.scale)
+        content[GEOREFERENCE] = georeference_content(place)
     images: list[dict[str, Any]] = []
     for i, one in enumerate(gathered):
         image: dict[str, Any] = {"name": one.name, "camera": one.camera}

@@ -13,6 +13,7 @@ from torchrefrac.scene.capture import CaptureError
 
 WGS84 = "EPSG:4326"
 STEP = 1e-4  # degrees to the north, 11 m, along which the grid's north is compared with the true one
+RADIUS = 6_371_000.0  # m, of the Earth; that the ellipsoid is flat matters little for a factor
 REMEDY = "install torchrefrac[geo], or do without positions"
 
 
@@ -69,6 +70,18 @@ class Grid:
         """Latitude and longitude of points (east, north), and the same bearing there."""
         longitude, latitude = (part.tolist() for part in self._from_degrees.transform(*point.T, direction="INVERSE"))
         return latitude, longitude, self.place(latitude, longitude)[1]
+
+    def scale_at(self, point: Sequence[float], height: float) -> float:
+        """How long a metre on the ground is in the plane of the map, at a point (east, north) and a height in m. It is
+        0.9996 along the middle of a zone of UTM, and on a mountain of 1000 m less by 0.00016: a flight of 1 km is
+        stated 40 cm too short, while its heights are not."""
+        from pyproj import CRS, Proj  # noqa: PLC0415
+
+        longitude, latitude = self._from_degrees.transform(*point[:2], direction="INVERSE")
+        system = CRS.from_user_input(self.crs)
+        plane = system.sub_crs_list[0] if system.is_compound else system
+        factors = Proj(plane).get_factors(longitude, latitude)
+        return float(np.sqrt(factors.areal_scale)) * RADIUS / (RADIUS + height)
 
     def _transform(self, latitude: Float[np.ndarray, " n"], longitude: Sequence[float]) -> Float[np.ndarray, "n 2"]:
         east, north = self._from_degrees.transform(np.asarray(longitude, dtype=float), latitude)

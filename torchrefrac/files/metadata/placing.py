@@ -27,9 +27,10 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Positions less `origin` where `known`, with standard deviations, in m; north_deg: what is added to a true heading
-    for one from the grid's north. crs: None for a frame of its own. vertical: what altitudes are counted from. lacking:
-    why photographs have none, by their numbers."""
+    """Positions from `origin` where `known`, with standard deviations, in m on the ground; north_deg: what is added to
+    a true heading for one from the grid's north. crs: None for a frame of its own. scale: how long a metre on the
+    ground is in the plane of its map. vertical: what altitudes are counted from. lacking: why photographs have none, by
+    their numbers."""
 
     position: Float[np.ndarray, "m 3"]
     known: Bool[np.ndarray, " m"]
@@ -39,6 +40,7 @@ class Placement:
     origin: tuple[float, float, float]
     vertical: Vertical | None
     lacking: Mapping[int, str]
+    scale: float = 1.0
 
 
 def place_all(places: Sequence[Place | None], crs: str | None, wanted: Vertical | None) -> Placement:
@@ -73,10 +75,12 @@ def place_all(places: Sequence[Place | None], crs: str | None, wanted: Vertical 
         sigma[i] = some[i].sigma[0], some[i].sigma[0], some[i].sigma[1]
     north[~known] = north[known].mean() if known.any() else 0.0
     origin = origin_of(position[known]) if known.any() and grid is not None else (0.0, 0.0, 0.0)
+    scale = grid.scale_at(origin, float(np.median(position[known, 2]))) if known.any() and grid is not None else 1.0
     position[known] -= origin
+    position[known, :2] /= scale
     return Placement(
         position, known, sigma, north, grid.crs if grid and known.any() else None, origin,
-        vertical, lacking,
+        vertical, lacking, scale,
     )  # fmt: skip
 
 
