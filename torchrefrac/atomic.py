@@ -16,3 +16,12 @@ def replacing(path: Path) -> Generator[Path, None, None]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def passing(path: Path) -> Generator[Path, None, None]:
+    """The name of a file that is needed within the block alone."""
+    try:
+        yield path
+    finally:
+        path.unlink(missing_ok=True)

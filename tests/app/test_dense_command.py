@@ -272,10 +272,23 @@ def test_what_is_not_wanted_is_not_written(torchrefrac, place, dense_run):
 def test_a_geotiff_is_written_where_it_is_asked_for(torchrefrac, place):
     pytest.importorskip("rasterio")
 
-    ended = torchrefrac("densify", "run=run", *PLAIN, "outputs.geotiff=true", "outputs.crs=EPSG:32633")
+    ended = torchrefrac("densify", "run=run", *PLAIN, "outputs.geotiff=true")
 
     assert ended.status == 0
-    assert (place / "run" / "dsm.tif").is_file()
+    assert {path.stem for path in (place / "run").glob("*.tif")} == {
+        "dsm", "depth", "sigma", "views", "hillshade", "orthophoto",
+    }  # fmt: skip
+
+
+def test_a_map_that_the_photographs_are_not_placed_in_is_not_stamped_on_files(torchrefrac, place):
+    pytest.importorskip("rasterio")
+    before = {path.name: path.stat().st_mtime_ns for path in (place / "run").iterdir()}
+
+    ended = torchrefrac("densify", "run=run", *PLAIN, "outputs.geotiff=true", "outputs.crs=EPSG:32633")
+
+    assert ended.status == 1
+    assert "outputs.crs is 'EPSG:32633', but the capture does not say where its frame stands" in ended.err
+    assert {path.name: path.stat().st_mtime_ns for path in (place / "run").iterdir()} == before
 
 
 def test_a_raster_that_is_too_fine_does_not_cost_the_patches(torchrefrac, place, metrics):
@@ -536,7 +549,7 @@ def test_a_wrong_option_is_named(values, sentence):
 
 
 def test_a_reference_system_without_a_geotiff_is_refused():
-    with pytest.raises(OptionError, match=r"outputs\.crs is 'EPSG:32633', but only a GeoTIFF has one"):
+    with pytest.raises(OptionError, match=r"outputs\.crs is 'EPSG:32633', but no file has one"):
         build(Options, {"outputs": {"crs": "EPSG:32633"}})
 
 

@@ -24,6 +24,7 @@ def raster_of(height, valid=None):
         y_north=20.0 + 0.5 * len(height),
         cell_size=0.5,
         length_unit="m",
+        views=torch.zeros_like(height),
     )
 
 

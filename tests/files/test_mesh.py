@@ -28,6 +28,7 @@ def raster_of(height, valid=None, cell_size=0.5):
         y_north=20.0 + len(height) * cell_size,
         cell_size=cell_size,
         length_unit="m",
+        views=torch.zeros_like(height),
     )
 
 

@@ -1,7 +1,6 @@
 """The surface model: known surfaces, a slow oracle that goes from cell to cell, and its files."""
 
 import math
-import sys
 from dataclasses import fields, replace
 
 import numpy as np
@@ -10,7 +9,7 @@ import torch
 
 from torchrefrac.dense.rasterize import point_spacing, rasterize
 from torchrefrac.files.ply import DenseFileError
-from torchrefrac.files.raster import load_raster, write_geotiff, write_raster
+from torchrefrac.files.raster import load_raster, write_raster
 from torchrefrac.scene.dense import DenseCloud
 
 NUMBERS = ("x_west", "y_north", "cell_size", "length_unit")
@@ -297,55 +296,6 @@ def test_a_damaged_raster_is_named(tmp_path):
         load_raster(path)
     with pytest.raises(DenseFileError, match=r"none\.npz is not a whole NumPy archive: .*No such file"):
         load_raster(tmp_path / "none.npz")
-
-
-def test_a_geotiff_has_height_and_depth_where_they_are(tmp_path):
-    rasterio = pytest.importorskip("rasterio")
-    raster = rasterize(cloud_of([[10.5, 7.5, 1.0], [12.5, 7.5, -2.0], [10.5, 5.5, -3.0]]), cell_size=1.0)
-
-    write_geotiff(raster, tmp_path / "dsm.tif", crs="EPSG:32633")
-
-    assert [path.name for path in tmp_path.iterdir()] == ["dsm.tif"]
-    with rasterio.open(tmp_path / "dsm.tif") as file:
-        height, depth = file.read(masked=True)
-        assert file.dtypes == ("float32", "float32")
-        assert file.descriptions == ("height", "depth")
-        assert file.units == ("m", "m")
-        assert file.tags()["length_unit"] == "m"
-        assert file.crs.to_epsg() == 32633
-        assert tuple(file.bounds) == (10.0, 5.0, 13.0, 8.0)
-        assert [value[0] for value in file.sample([(12.5, 7.5)])] == [-2.0]
-    assert np.array_equal(height.mask, ~raster.valid.numpy())
-    assert height.compressed().tolist() == [1.0, -2.0, -3.0]
-    assert depth.compressed().tolist() == [-1.0, 2.0, 3.0]
-
-
-def test_a_geotiff_without_a_reference_system_has_local_coordinates(tmp_path):
-    rasterio = pytest.importorskip("rasterio")
-
-    write_geotiff(rasterize(cloud_of(on_a_grid(slope)), 0.1), tmp_path / "dsm.tif")
-
-    with rasterio.open(tmp_path / "dsm.tif") as file:
-        assert file.crs is None
-        assert file.transform.a == pytest.approx(0.1)
-
-
-def test_a_geotiff_that_cannot_be_is_refused_by_name(tmp_path):
-    pytest.importorskip("rasterio")
-    raster = rasterize(cloud_of(on_a_grid(slope)), 0.1)
-
-    with pytest.raises(ValueError, match="crs is 'Atlantis', which is no coordinate reference system"):
-        write_geotiff(raster, tmp_path / "dsm.tif", crs="Atlantis")
-    with pytest.raises(ValueError, match=r"dsm\.tif has no cells"):
-        write_geotiff(rasterize(DenseCloud.empty("m")), tmp_path / "dsm.tif")
-    assert not list(tmp_path.iterdir())
-
-
-def test_without_rasterio_the_error_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rasterio", None)
-
-    with pytest.raises(ImportError, match=r"pip install torchrefrac\[geo\]"):
-        write_geotiff(rasterize(cloud_of([[0.0, 0.0, 0.0]])), tmp_path / "dsm.tif")
 
 
 def _ring():

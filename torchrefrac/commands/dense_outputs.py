@@ -11,7 +11,7 @@ from torchrefrac.figures.dense import dense_view, draw_dense_views, draw_depth_m
 from torchrefrac.figures.raster import draw_raster
 from torchrefrac.files.dense import write_dense, write_depth_map
 from torchrefrac.files.mesh import height_field_mesh, write_mesh
-from torchrefrac.files.raster import write_geotiff, write_raster
+from torchrefrac.files.raster import write_raster
 from torchrefrac.files.run import DENSE_CLOUD, DENSE_RESULTS, DENSE_VIEW, DEPTH_MAPS, ERROR_MAP
 from torchrefrac.files.swap import remove_if_empty
 from torchrefrac.geometry import Similarity
@@ -24,8 +24,6 @@ def write_dense_outputs(cloud: DenseCloud, raster: Raster | None, outputs: Dense
     if raster is not None:
         if outputs.raster:
             write_raster(raster, folder)
-        if outputs.geotiff:
-            write_geotiff(raster, folder / "dsm.tif", outputs.crs)
         if outputs.mesh:
             write_mesh(height_field_mesh(raster), folder / "mesh.ply", raster.sigma[raster.valid])
     write_dense(cloud, folder / DENSE_CLOUD)

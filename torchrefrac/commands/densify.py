@@ -9,6 +9,7 @@ import torch
 
 from torchrefrac.commands.dense_outputs import draw_dense_outputs, write_dense_outputs, write_depth_maps
 from torchrefrac.commands.run_folder import DENSE, RunFolder, read_record
+from torchrefrac.commands.survey_products import require_place, write_survey_products
 from torchrefrac.config import DenseOutputs, DensifyOptions, OptionError
 from torchrefrac.dense import DenseError, DenseOptions, FolderStore, densify
 from torchrefrac.dense.images import photographs
@@ -41,6 +42,7 @@ def densify_run(run: SparseRun, options: DensifyOptions, recorder: Recorder) -> 
     What a dense stage that was interrupted has finished is gone on with, where options, photographs and cameras are
     still the same.
     """
+    require_place(options.outputs, run.scene.georeference)
     files = RunFolder(run.folder)
     with files.recording_dense():
         truth = load_truth(photographs(run.scene).folder)
@@ -85,6 +87,8 @@ def dense_stage(
         shown = raster if outputs.raster else None
         draw_dense_outputs(dense.cloud, shown, scene, truth, alignment, files.metrics, folder)
         advance(1, "")
+    if outputs.for_surveys:
+        files.metrics |= write_survey_products(dense.cloud, scene, outputs, folder, recorder)
     if outputs.depth_maps:
         write_depth_maps(dense, scene, options, recorder, folder / DEPTH_MAPS)
     files.stage_done(DENSE, dense, seconds)

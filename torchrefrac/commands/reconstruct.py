@@ -14,6 +14,7 @@ from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.run_folder import RunFolder
+from torchrefrac.commands.survey_products import require_place
 from torchrefrac.config import Options
 from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.evaluate.doubts import doubts
@@ -137,6 +138,7 @@ def run(
     Each stage's files are written when it ends. When a stage fails or is interrupted, metrics.json says which, why, and
     what was complete before; the dense stage goes on with the images that were finished when the same is run again.
     """
+    require_place(options.outputs, capture.georeference)
     files, pictures = RunFolder(folder), StagePictures(capture, recorder)
 
     def stage_done(name: str, product: Any, seconds: float) -> None:

@@ -9,7 +9,8 @@ from torchrefrac.config.build import OptionError
 from torchrefrac.config.scenes import FolderOptions
 from torchrefrac.dense import DenseOptions
 from torchrefrac.features import MatchOptions, SiftOptions
-from torchrefrac.files.raster import require_geotiff
+from torchrefrac.files.geotiff import require_geotiff
+from torchrefrac.files.las import require_las
 from torchrefrac.refraction import water_index
 from torchrefrac.scene.interfaces import MAX_INDEX_RATIO
 from torchrefrac.sfm import ReadjustOptions, SfmOptions
@@ -64,10 +65,15 @@ class DenseOutputs:
     """Files that the dense stage writes besides dense.ply and its pictures.
 
     mesh: the surface as triangles; raster: heights on a grid, seen from above, in cells of raster_cell length units
-    (None: by the spacing of the points); depth_maps: what each image sees; geotiff: the raster for geographic
-    information systems, in the reference system `crs`, such as "EPSG:32633" (None: local coordinates).
+    (None: by the spacing of the points); depth_maps: what each image sees.
 
-    Raises ValueError for a raster_cell that is no length, and where rasterio is missing or does not know `crs`.
+    For geographic information systems, on the map where the capture says where its frame stands, else in that frame:
+    geotiff: rasters of height, depth, uncertainty, views and relief; orthophoto: the surface in colour, with them; laz:
+    dense and sparse points; contours: lines of equal depth, so far apart in length units (None: no such). crs: the
+    reference system that they must be in (None: that of the capture's positions).
+
+    Raises ValueError for a raster_cell or contours that are no length, and where what writes these files is missing or
+    does not know `crs`.
     """
 
     mesh: bool = True
@@ -75,22 +81,32 @@ class DenseOutputs:
     raster_cell: float | None = None
     depth_maps: bool = True
     geotiff: bool = False
+    orthophoto: bool = True
+    laz: bool = False
+    contours: float | None = None
     crs: str | None = None
 
     @property
+    def for_surveys(self) -> bool:
+        """Whether something is written for geographic information systems."""
+        return self.geotiff or self.laz or self.contours is not None
+
+    @property
     def needs_raster(self) -> bool:
-        """Whether something is made from heights on a grid."""
-        return self.mesh or self.raster or self.geotiff
+        """Whether something is made from heights on a grid in the frame of the scene."""
+        return self.mesh or self.raster
 
     def __post_init__(self) -> None:
-        require_ranges(self, {"raster_cell": Range(above=0.0, at_most=1e9)})
-        if self.crs is not None and not self.geotiff:
-            raise ValueError(f"crs is {self.crs!r}, but only a GeoTIFF has one: set geotiff to true")
-        if self.geotiff:
+        length = Range(above=0.0, at_most=1e9)
+        require_ranges(self, {"raster_cell": length, "contours": length})
+        if self.crs is not None and not self.for_surveys:
+            raise ValueError(f"crs is {self.crs!r}, but no file has one: set geotiff or laz to true")
+        for name, require in (("geotiff", lambda: require_geotiff(self.crs)), ("laz", lambda: require_las(self.crs))):
             try:
-                require_geotiff(self.crs)
+                if getattr(self, name):
+                    require()
             except ImportError as error:
-                raise ValueError(f"geotiff is true, but {error}") from None
+                raise ValueError(f"{name} is true, but {error}") from None
 
 
 @dataclass(frozen=True)

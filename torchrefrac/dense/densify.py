@@ -77,7 +77,8 @@ def _rays(patches: Patches, scene: Scene) -> Float[Tensor, "n 3"]:
     """Directions of the viewing rays at the patches."""
     if not len(patches):
         return patches.points
-    return scene.camera_of(patches.reference).cast_rays(patches.pixels)[1]
+    rays = PixelRays.cast(scene.camera_of(patches.reference), patches.pixels)
+    return rays.direction_at(rays.distance_of(patches.points))
 
 
 def _surface(

@@ -31,15 +31,15 @@ def raster_of(cloud: DenseCloud, cell_size: float | None) -> Raster:
 def rasterize(cloud: DenseCloud, cell_size: float | None = None) -> Raster:
     """The upper surface of a dense cloud, one height a cell.
 
-    A cell's height is the mean of the points of the highest surface in it that is well supported, weighted by
-    1 / sigma^2. A surface is all that lies within 3 sigma, or the size of a cell where that is more, of its height;
-    well supported is one with at least two points and a quarter of those of the best supported one of the cell (where
-    no two points of a cell lie together, the points of the eight cells around it count too). The cell's sigma, of its
-    height, has two parts: the larger of what the sigmas and what the scatter of these points say, which falls with
-    their number, and what they have in common (`common_sigma`), which does not. A hole with at least five of eight neighbours is
-    the mean of opposite neighbours, exact where the surface is plane, and marked `filled`; its sigma counts half their
-    difference. Edges of cells lie at multiples of cell_size. Left out are points and sigmas that are not finite, and
-    points far outside of where nearly all lie: beyond the range of the middle 98 %, by more than twice that range.
+    A cell's height is the mean of the points of the highest surface in it that is well supported, weighted by 1 /
+    sigma^2. A surface is all that lies within 3 sigma, or the size of a cell where that is more, of its height; well
+    supported is one with at least two points and a quarter of those of the best supported one of the cell (where no two
+    points of a cell lie together, the points of the eight cells around it count too). The cell's sigma, of its height,
+    has two parts: the larger of what the sigmas and what the scatter of these points say, which falls with their
+    number, and what they have in common (`common_sigma`), which does not. A hole with at least five of eight neighbours
+    is the mean of opposite neighbours, exact where the surface is plane, and marked `filled`; its sigma counts half
+    their difference. Edges of cells lie at multiples of cell_size. Left out are points and sigmas that are not finite,
+    and points far outside of where nearly all lie: beyond the range of the middle 98 %, by more than twice that range.
 
     cell_size: side of a cell, in length_unit; where it is not given, about 1.5 times the spacing of the points
     (`point_spacing`), in two digits.
@@ -106,7 +106,7 @@ def _raster(
     """The raster of points that lie in these cells, counted in a grid with a frame of one empty cell around it."""
     framed = (shape[0] + 2, shape[1] + 2)
     size = framed[0] * framed[1]
-    vectors, counts = cloud.points.new_zeros(5, size), cell.new_zeros(size)
+    vectors, counts = cloud.points.new_zeros(6, size), cell.new_zeros(size)
     if len(cloud):
         occupied, values, members = _upper_surface(cloud, cell, framed[1], cell_size)
         vectors[:, occupied] = values
@@ -120,21 +120,24 @@ def _raster(
         height=inner(vectors[0]),
         sigma=inner(vectors[1]),
         count=inner(counts),
-        colors=torch.stack([inner(plane.round().to(torch.uint8)) for plane in vectors[2:]], dim=-1),
+        colors=torch.stack([inner(plane.round().to(torch.uint8)) for plane in vectors[2:5]], dim=-1),
         valid=inner((counts > 0) | filled),
         filled=inner(filled),
         x_west=corner[0],
         y_north=corner[1],
         cell_size=cell_size,
         length_unit=cloud.length_unit,
+        views=inner(vectors[5]),
     )
 
 
 def _upper_surface(
     cloud: DenseCloud, cell: Int[Tensor, " n"], width: int, cell_size: float
-) -> tuple[Int[Tensor, " m"], Float[Tensor, "5 m"], Int[Tensor, " m"]]:
-    """Of the cells with points: their numbers; height, sigma and colour; how many points these are the mean of. cell:
-    of each point, in a grid `width` cells wide; see `rasterize` for what the upper surface is."""
+) -> tuple[Int[Tensor, " m"], Float[Tensor, "6 m"], Int[Tensor, " m"]]:
+    """Of the cells with points: their numbers; height, sigma, colour and views; how many points these are the mean of.
+
+    cell: of each point, in a grid `width` cells wide; see `rasterize` for what the upper surface is.
+    """
     keys, order = _keys(cell, cloud.points[:, 2], cloud.points[:, 2]).sort()
     z, sigma, colors, cell = cloud.points[order, 2], cloud.sigma[order], cloud.colors[order], cell[order]
     common = cloud.common_sigma[order].square()
@@ -173,7 +176,8 @@ def _upper_surface(
     together = segment_sum(share * common, segment, len(occupied))
     scatter = segment_sum(share * (z - level[segment]) ** 2, segment, len(occupied)) / (count - 1).clamp(min=1)
     color = segment_sum(share[:, None] * colors, segment, len(occupied))
-    return occupied, torch.stack((level, (torch.maximum(formal, scatter) + together).sqrt(), *color.T)), count
+    views = segment_sum(share * cloud.views[order], segment, len(occupied))
+    return occupied, torch.stack((level, (torch.maximum(formal, scatter) + together).sqrt(), *color.T, views)), count
 
 
 def _keys(cell: Int[Tensor, " n"], z: Float[Tensor, " n"], every_z: Float[Tensor, " all"]) -> Int[Tensor, " n"]:
@@ -191,9 +195,9 @@ def _largest(
 
 
 def _fill_small_holes(
-    vectors: Float[Tensor, "5 size"], valid: Bool[Tensor, " size"], framed: tuple[int, int]
+    vectors: Float[Tensor, "6 size"], valid: Bool[Tensor, " size"], framed: tuple[int, int]
 ) -> Bool[Tensor, " size"]:
-    """Interpolate small holes of height, sigma and colour where they lie; which cells those are."""
+    """Interpolate small holes of height, sigma, colour and views where they lie; which cells those are."""
     grid = valid.unflatten(0, framed)
     neighbours = torch.zeros_like(grid, dtype=torch.uint8)
     for row, column in OPPOSITE:
@@ -202,7 +206,7 @@ def _fill_small_holes(
     small = ~grid & (neighbours >= 5)
     small[0], small[-1], small[:, 0], small[:, -1] = False, False, False, False
     hole = small.flatten().nonzero()[:, 0]
-    total, pairs = vectors.new_zeros(5, len(hole)), vectors.new_zeros(len(hole))
+    total, pairs = vectors.new_zeros(6, len(hole)), vectors.new_zeros(len(hole))
     for row, column in OPPOSITE:  # five of eight neighbours have one opposite pair at least
         one, other = hole + row * framed[1] + column, hole - row * framed[1] - column
         a, b = vectors[:, one], vectors[:, other]

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
+from torchrefrac.dense.relief import relief
 from torchrefrac.figures.plotting import blank_figure, color_scale, save
 from torchrefrac.figures.side_views import INK
 from torchrefrac.scene.raster import Raster
@@ -15,8 +16,6 @@ from torchrefrac.scene.raster import Raster
 EMPTY = "#e3e1dc"
 LONG_SIDE_INCHES, BAR_INCHES, MOST_PIXELS, WIDE = 7.0, 0.18, 1600, 3.0
 TAILS = (0.005, 0.995)
-SHADE = 0.35  # how much darker than a lit slope one in the shade is
-SUN_AZIMUTH_DEG, SUN_ALTITUDE_DEG = 315.0, 45.0
 
 
 def draw_raster(raster: Raster, path: Path) -> None:
@@ -39,7 +38,7 @@ def draw_raster(raster: Raster, path: Path) -> None:
     figure = blank_figure(across, up, None)  # the panel; what stands around it is added when it is saved
     panel = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     if depth.numel():
-        lit = torch.from_numpy(colors.to_rgba(depth.numpy())[..., :3]) * _light(depth, valid, step * size)[..., None]
+        lit = torch.from_numpy(colors.to_rgba(depth.numpy())[..., :3]) * relief(depth, valid, step * size)[..., None]
         picture = lit.where(valid[..., None], torch.tensor(to_rgb(EMPTY), dtype=torch.float64))
         right, bottom = raster.x_west + depth.shape[1] * step * size, raster.y_north - depth.shape[0] * step * size
         panel.imshow(picture.numpy(), extent=(raster.x_west, right, bottom, raster.y_north), interpolation="nearest")
@@ -72,28 +71,3 @@ def _range(depth: Float[Tensor, " n"]) -> tuple[float, float, str]:
     extend = beyond[bool(ordered[0] < low), bool(ordered[-1] > high)]
     margin = 0.05 * max(abs(low), 1e-3) if high == low else 0.0
     return low - margin, high + margin, extend
-
-
-def _light(
-    depth: Float[Tensor, "rows columns"], valid: Bool[Tensor, "rows columns"], size: float
-) -> Float[Tensor, "rows columns"]:
-    """At most 1; how bright the surface is in light from the north-west (Lambert's cosine law)."""
-    east, south = (_slope(depth, valid, size, axis) for axis in (1, 0))
-    azimuth, altitude = math.radians(SUN_AZIMUTH_DEG), math.radians(SUN_ALTITUDE_DEG)
-    sun = (math.sin(azimuth) * math.cos(altitude), math.cos(azimuth) * math.cos(altitude), math.sin(altitude))
-    # The normal of the surface z = -depth, with y to the north, is (east, -south, 1) before it is made a unit vector.
-    cosine = (sun[0] * east - sun[1] * south + sun[2]) / (east**2 + south**2 + 1.0).sqrt()
-    return 1.0 - SHADE * (1.0 - cosine.clamp(min=0.0) / sun[2]).clamp(0.0, 1.0)
-
-
-def _slope(
-    depth: Float[Tensor, "rows columns"], valid: Bool[Tensor, "rows columns"], size: float, axis: int
-) -> Float[Tensor, "rows columns"]:
-    """Change of depth per length along an axis, central where both neighbours are valid, else zero."""
-    slope = torch.zeros_like(depth)
-    inner = depth.shape[axis] - 2
-    if inner > 0:
-        rise = depth.narrow(axis, 2, inner) - depth.narrow(axis, 0, inner)
-        is_known = valid.narrow(axis, 2, inner) & valid.narrow(axis, 0, inner)
-        slope.narrow(axis, 1, inner).copy_((rise / (2.0 * size)).where(is_known, 0.0))
-    return slope

@@ -12,9 +12,10 @@ class Raster:
     """The surface on rows x columns square cells; row 0 is the northernmost (the largest y), column 0 the westernmost.
 
     height: world z of the surface, above the water surface, in length_unit; sigma: its standard deviation; count: how
-    many points it is the mean of; valid: where there is a surface; filled: where it is not measured but interpolated
-    between neighbours, a part of valid. Everything is zero where not valid. x_west, y_north: the outer corner of the
-    first cell, in the world frame; cell_size: side of a cell, in length_unit.
+    many points it is the mean of; views: by how many images one of these is seen, in the mean; valid: where there is a
+    surface; filled: where it is not measured but interpolated between neighbours, a part of valid. Everything is zero
+    where not valid. x_west, y_north: the outer corner of the first cell, in the world frame; cell_size: side of a cell,
+    in length_unit.
     """
 
     height: Float[Tensor, "rows columns"]
@@ -27,6 +28,7 @@ class Raster:
     y_north: float
     cell_size: float
     length_unit: str
+    views: Float[Tensor, "rows columns"]
 
     @property
     def depth(self) -> Float[Tensor, "rows columns"]:
