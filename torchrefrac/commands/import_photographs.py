@@ -8,10 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from torchrefrac.commands.boards import find_marks, pattern_of
 from torchrefrac.commands.import_report import found, oddities
 from torchrefrac.commands.results import OutRefusedError
 from torchrefrac.config.importing import ImportOptions
-from torchrefrac.files.fields import read_json, write_json
+from torchrefrac.files.fields import Fields, read_json, write_json
 from torchrefrac.files.metadata.camera_file import read_camera
 from torchrefrac.files.metadata.content import Water, capture_content
 from torchrefrac.files.metadata.film import take_frames, write_times
@@ -27,6 +28,7 @@ from torchrefrac.files.metadata.position import Vertical
 from torchrefrac.files.metadata.quality import look_at, useless
 from torchrefrac.files.metadata.table import Row, read_table
 from torchrefrac.files.paths import real_path
+from torchrefrac.files.survey import SURVEY, write_survey
 from torchrefrac.files.swap import PARTIAL, alone, finish, remove_if_empty, swap
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene.capture import CaptureError
@@ -59,6 +61,8 @@ def import_photographs(options: ImportOptions, recorder: Recorder) -> dict[str, 
         with alone(out):
             finish(out)
             earlier, place = _earlier_files(out), out / PARTIAL
+            if options.board != "none" and SURVEY not in earlier:
+                _require_no_survey(out)
             shutil.rmtree(place, ignore_errors=True)
             place.mkdir()
             try:
@@ -73,26 +77,42 @@ def import_photographs(options: ImportOptions, recorder: Recorder) -> dict[str, 
 
 
 def _earlier_files(out: Path) -> list[str]:
-    """The files of an earlier import into `out`. Raises OutRefusedError where there is a capture.json of somebody
-    else."""
+    """The files of an earlier import into `out`; without a survey.json that was changed since. Raises OutRefusedError
+    where there is a capture.json of somebody else."""
     capture, report = out / CAPTURE, out / REPORT
     if not capture.exists():
         return []
-    refused = OutRefusedError(
-        f"{capture} was not written by import, or has been changed since; name another folder as out, or remove it"
-    )
+    refused = _not_ours(capture)
     if not report.is_file():
         raise refused
     try:
         top = read_json(report)
-        if top.text("capture_sha256", "none") != _digest(capture.read_bytes()):
+        if not _is_as_written(capture, top):
             raise refused
-        return [name for name in top.texts("files") if ".." not in Path(name).parts and not Path(name).is_absolute()]
+        names = [name for name in top.texts("files") if ".." not in Path(name).parts and not Path(name).is_absolute()]
     except CaptureError:
         raise refused from None
+    return [name for name in names if name != SURVEY or _is_as_written(out / SURVEY, top)]
+
+
+def _is_as_written(path: Path, report: Fields) -> bool:
+    """Whether a file is the one that an import reported on."""
+    return path.is_file() and report.text(f"{path.stem}_sha256", "none") == _digest(path)
+
+
+def _require_no_survey(out: Path) -> None:
+    survey = out / SURVEY
+    if survey.exists():
+        raise _not_ours(survey)
+
+
+def _not_ours(path: Path) -> OutRefusedError:
+    changed = "was not written by import, or has been changed since"
+    return OutRefusedError(f"{path} {changed}; name another folder as out, or remove it")
 
 
 def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recorder) -> dict[str, Any]:
+    pattern = pattern_of(options)
     listing = list_photographs(options.sources, out)
     film = _film(options, listing)
     if film is not None:
@@ -119,16 +139,23 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
     where = IMAGES if film is not None else _folder_name(folder, out)
     content = capture_content(where, gathered, lenses, placement, water)
     write_json(content, place / CAPTURE)
+    marks = None
+    if pattern is not None:
+        paths = [one.path for one in photographs]
+        marks = find_marks(pattern, options.board, paths, names, options.board_sigma, recorder)
+        if len(marks.survey.control_names):
+            write_survey(marks.survey, place / SURVEY)
     left_out = {_shown(path, folder): reason for path, reason in selection.left_out.items()}
     report: dict[str, Any] = {
         "format": REPORT_FORMAT,
-        "capture_sha256": _digest((place / CAPTURE).read_bytes()),
+        **{f"{path.stem}_sha256": _digest(path) for path in (place / CAPTURE, place / SURVEY) if path.is_file()},
         "files": [*(path.relative_to(place).as_posix() for path in sorted(place.rglob("*.*"))), REPORT],
         "out": str(out),
         "folder": str(folder if film is None else out / IMAGES),
         **found(content, gathered, lenses, placement),
+        "marks": None if marks is None else marks.told,
         "left_out": left_out,
-        "notes": [*notes, *oddities(gathered, lenses, listing.films)],
+        "notes": [*notes, *([] if marks is None else marks.notes), *oddities(gathered, lenses, listing.films)],
     }
     write_json(report, place / REPORT)
     return report
@@ -217,5 +244,5 @@ def _shown(path: Path, folder: Path) -> str:
     return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
 
 
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

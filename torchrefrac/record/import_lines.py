@@ -63,6 +63,17 @@ def _statements(report: Mapping[str, Any]) -> Iterator[str]:
         yield from _row("altitude", f"{low:.1f} to {high:.1f} m", f"counted from: {report['vertical']}")
     how = "not found: give water_level or take_off_above_water" if not report["height"] else "above the water"
     yield from _row("height", f"{report['height']} of {used}", how)
+    if report["marks"]:
+        yield from _marks(report["marks"], used)
+
+
+def _marks(marks: Mapping[str, Any], used: int) -> Iterator[str]:
+    """Boards or tags: how many corners of how many in how many photographs."""
+    found = marks["found"]
+    corners = f"{marks['corners']} corners in {marks['photographs']} of {used}"
+    what = f"{len(found)} tag{'' if len(found) == 1 else 's'}" if marks["kind"] == "apriltag" else marks["kind"]
+    how = f"{what}; {marks['scale_bars']} scale bars, in survey.json" if marks["corners"] else "not found in two"
+    yield from _row("tags" if marks["kind"] == "apriltag" else "board", corners, how)
 
 
 def _counted(
