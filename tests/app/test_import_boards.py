@@ -5,14 +5,20 @@ import json
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from tests.files.metadata.sunken_boards import CHARUCO, CHECKER, CHESSBOARD, SQUARE, TAG, sunken
-from torchrefrac import load_capture, read_survey
+from tests.planted_reconstructions import plant_reconstruction
+from torchrefrac import FlatInterface, RefractiveCamera, load_capture, read_scene, read_survey
 from torchrefrac.config import OptionError
 from torchrefrac.config.importing import CalibrateOptions, ImportOptions, length_in_m
+from torchrefrac.files.colmap.model import write_colmap
 from torchrefrac.files.metadata.board_survey import survey_of
 from torchrefrac.files.metadata.boards import Charuco, Chessboard, Sighting, Tags
+from torchrefrac.files.survey import write_survey
+from torchrefrac.geometry import Similarity
 from torchrefrac.scene import CaptureError
+from torchrefrac.sfm.frame import transformed
 
 BOARDS = {
     "charuco": Charuco(*CHARUCO, SQUARE),
@@ -82,6 +88,26 @@ def test_import_writes_a_survey_of_the_corners(torchrefrac, photographs, tmp_pat
     assert (told["corners"], told["scale_bars"], told["photographs"]) == (corners, bars, 4)
     said = " ".join(ended.out.split())
     assert f"{corners} corners in 4 of 4 {'2 tags' if kind == 'apriltag' else kind}; {bars} scale bars" in said
+
+
+def test_the_lengths_of_a_tag_give_an_adjustment_its_scale(torchrefrac, make_basin, draw, tmp_path):
+    truth = plant_reconstruction(make_basin(cameras=6, points=150, seen_by=3), draw, noise=0.3).truth
+    one, nothing = torch.eye(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
+    write_colmap(transformed(truth, Similarity(truth.points.new_tensor(1.1), one, nothing)), tmp_path / "model")
+    pose = truth.views.rotation[:, None], truth.views.center[:, None]
+    cameras = RefractiveCamera(truth.cameras[0], *pose, FlatInterface(index_ratio=1.33))
+    place = truth.points.new_tensor([[-10.0, 10.0, 0.0], [10.0, 10.0, 0.0], [10.0, -10.0, 0.0], [-10.0, -10.0, 0.0]])
+    pixels, valid = cameras.project(place - truth.points.new_tensor([0.0, 0.0, 70.0]))
+    assert bool(valid.all())
+    tags = {name: [Sighting("tag 5", np.arange(4), *(part.numpy().astype(np.float32) for part in (place, seen - 0.5)))]
+            for name, seen in zip(truth.views.names, pixels, strict=True)}  # fmt: skip
+    write_survey(survey_of(tags, 0.002), tmp_path / "survey.json")
+
+    ended = torchrefrac("adjust", "alignment=model", "survey=survey.json", "index_ratio=1.33", "out=adjusted")
+
+    assert ended.status == 0, ended.err
+    apart = float(torch.pdist(read_scene(tmp_path / "adjusted").views.center).sum())
+    assert apart == pytest.approx(float(torch.pdist(truth.views.center).sum()), rel=0.003)
 
 
 def test_a_tag_that_a_photograph_shows_twice_is_named_and_left_out_there(torchrefrac, photographs, tmp_path):
