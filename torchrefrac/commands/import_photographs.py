@@ -26,6 +26,7 @@ from torchrefrac.files.metadata.photograph import Photograph, read_photograph
 from torchrefrac.files.metadata.placing import place_all
 from torchrefrac.files.metadata.position import Vertical
 from torchrefrac.files.metadata.quality import look_at, useless
+from torchrefrac.files.metadata.subtitles import subtitles_beside
 from torchrefrac.files.metadata.table import Row, read_table
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.survey import SURVEY, write_survey
@@ -115,10 +116,15 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
     pattern = pattern_of(options)
     listing = list_photographs(options.sources, out)
     film = _film(options, listing)
+    frames: dict[Path, float] = {}
     if film is not None:
-        listing = Listing(_frames(film, place, options, recorder), {}, [])
+        frames = _frames(film, place, options, recorder)
+        listing = Listing(list(frames), {}, [])
     selection = _select(listing, options, recorder)
     photographs = selection.photographs
+    subtitles = None if film is None else subtitles_beside(film)
+    if subtitles is not None:
+        photographs = [subtitles.told(frame, frames[frame.path]) for frame in photographs]
     folder = common_folder(one.path for one in photographs)
     if film is None:
         _require_apart(out, photographs)
@@ -168,11 +174,11 @@ def _film(options: ImportOptions, listing: Listing) -> Path | None:
     return listing.films[0] if Path(options.sources[0]).expanduser().is_file() else None
 
 
-def _frames(film: Path, place: Path, options: ImportOptions, recorder: Recorder) -> list[Path]:
-    """Frames of a film, written with their times."""
+def _frames(film: Path, place: Path, options: ImportOptions, recorder: Recorder) -> dict[Path, float]:
+    """Frames of a film, written with their times; and those times in seconds."""
     frames = take_frames(film, place / IMAGES, options.film.overlap, options.film.most, recorder)
     write_times(frames, place / TIMES)
-    return [path for path, _ in frames]
+    return {path: look.seconds for path, look in frames}
 
 
 def _select(listing: Listing, options: ImportOptions, recorder: Recorder) -> _Selection:
