@@ -31,7 +31,7 @@ from torchrefrac.files.metadata.table import Row, read_table
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.survey import SURVEY, write_survey
 from torchrefrac.files.swap import PARTIAL, alone, finish, remove_if_empty, swap
-from torchrefrac.recorder import Recorder
+from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene.capture import CaptureError
 
 CAPTURE, REPORT, TIMES = "capture.json", "import.json", "frames.csv"
@@ -46,14 +46,14 @@ class _Selection(NamedTuple):
     left_out: dict[Path, str]
 
 
-def import_photographs(options: ImportOptions, recorder: Recorder) -> dict[str, Any]:
-    """Write capture.json and import.json into the folder `out`; returns what the latter says: what was found of which
-    photographs, and where.
+def import_photographs(options: ImportOptions, recorder: Recorder | None = None) -> dict[str, Any]:
+    """Write capture.json and import.json into the folder `out`, and survey.json where boards or tags were found;
+    returns what import.json says: what was found of which photographs, and where.
 
     Photographs stay where they are, and nothing is written among them. A capture.json that import wrote, and that
     nobody has changed since, is replaced as a whole. Raises CaptureError where there are fewer than two photographs
-    that can be used or something stated cannot be right, OutRefusedError where `out` holds another capture.json or lies
-    among the photographs.
+    that can be used or something stated cannot be right, OutRefusedError where `out` holds another capture.json, or
+    another survey.json and boards were asked for, or lies among the photographs.
     """
     out = real_path(options.out)
     is_new = not out.exists()
@@ -67,7 +67,7 @@ def import_photographs(options: ImportOptions, recorder: Recorder) -> dict[str, 
             shutil.rmtree(place, ignore_errors=True)
             place.mkdir()
             try:
-                report = _import_into(place, out, options, recorder)
+                report = _import_into(place, out, options, recorder or SilentRecorder())
                 swap(place, earlier)
             finally:
                 shutil.rmtree(place, ignore_errors=True)

@@ -7,7 +7,7 @@ from functools import partial
 from textwrap import wrap
 from typing import Any
 
-WIDTH, INDENT, LABEL, VALUE = 100, 2, 17, 25
+WIDTH, INDENT, LABEL, VALUE = 100, 2, 17, 26
 MOST_LISTED = 12  # photographs with a reason each
 ASSUMED = "not found: assumed"
 _wrap = partial(wrap, break_on_hyphens=False)
@@ -16,7 +16,7 @@ _wrap = partial(wrap, break_on_hyphens=False)
 def import_lines(report: Mapping[str, Any]) -> list[str]:
     """Of the report of an import; no line has more than a hundred characters."""
     used, left_out = report["used"], report["left_out"]
-    head = f"{used} photographs of {os.path.relpath(report['folder'])}"
+    head = f"{used} photographs of {_path(report['folder'])}"
     lines = [head + (f", {len(left_out)} left out" if left_out else ""), ""]
     for name, camera in report["cameras"].items():
         lines += [f"camera {name}: {camera['photographs']} photographs of {camera['width']} x {camera['height']}"]
@@ -28,9 +28,14 @@ def import_lines(report: Mapping[str, Any]) -> list[str]:
         lines += ["", "left out", *_listed(left_out)]
     for note in report["notes"]:
         lines += ["", *_wrap(note, WIDTH)]
-    out = os.path.relpath(report["out"])
+    out = _path(report["out"])
     lines += ["", f"written to {out}; go on with:"]
     return [*lines, f"  torchrefrac scene=capture {shlex.quote(f'scene.path={out}')} out=outputs/my_run"]
+
+
+def _path(path: str) -> str:
+    """As seen from here, or whole where that is shorter."""
+    return min(os.path.relpath(path), path, key=len)
 
 
 def _camera(camera: Mapping[str, Any]) -> Iterator[str]:
@@ -63,7 +68,7 @@ def _statements(report: Mapping[str, Any]) -> Iterator[str]:
         yield from _row("altitude", f"{low:.1f} to {high:.1f} m", f"counted from: {report['vertical']}")
     how = "not found: give water_level or take_off_above_water" if not report["height"] else "above the water"
     yield from _row("height", f"{report['height']} of {used}", how)
-    if report["marks"]:
+    if report.get("marks"):
         yield from _marks(report["marks"], used)
 
 
