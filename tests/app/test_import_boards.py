@@ -110,6 +110,23 @@ def test_the_lengths_of_a_tag_give_an_adjustment_its_scale(torchrefrac, make_bas
     assert apart == pytest.approx(float(torch.pdist(truth.views.center).sum()), rel=0.003)
 
 
+@pytest.mark.slow
+def test_photographs_of_a_board_under_water_come_out_in_its_size(torchrefrac, scene, photographs, tmp_path):
+    torchrefrac("import", f"photos={photographs}", "out=tank", "focal_px=500", "focal_sigma=0.001", *OPTIONS["charuco"])
+    path = tmp_path / "tank" / "capture.json"
+    content = json.loads(path.read_text())
+    for image, rotation in zip(content["images"], scene.cameras.cam_from_world_rotation, strict=True):
+        image["down_in_cam"] = (-rotation[:, 2]).tolist()
+    path.write_text(json.dumps(content | {"down_in_cam_sigma_deg": 0.1}))
+
+    torchrefrac("scene=capture", "scene.path=tank", "out=run")
+    ended = torchrefrac("adjust", "alignment=run", "survey=tank/survey.json", "out=adjusted")
+
+    assert ended.status == 0, ended.err
+    apart = float(torch.pdist(read_scene(tmp_path / "adjusted").views.center).sum())
+    assert apart == pytest.approx(float(torch.pdist(scene.cameras.center_in_world).sum()), rel=0.01)
+
+
 def test_a_tag_that_a_photograph_shows_twice_is_named_and_left_out_there(torchrefrac, photographs, tmp_path):
     (tmp_path / "photos").mkdir()
     for path in photographs.iterdir():

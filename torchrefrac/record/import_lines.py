@@ -54,22 +54,23 @@ def _spread(sigma: float | None, unit: str) -> str:
 
 
 def _statements(report: Mapping[str, Any]) -> Iterator[str]:
-    used, sigma = report["used"], report["position_sigma"]
+    used, sigma, marks = report["used"], report["position_sigma"], report.get("marks") or {}
+    scale = "the board" if marks.get("scale_bars") else "heights alone"
     yield from _counted("gravity", report["gravity"], used, f"+- {report['gravity_sigma_deg']} degrees",
                         "it will be estimated from the refraction")  # fmt: skip
     side = "left" if report["north_deg"] < 0.0 else "right"
     north = f"true north is {abs(report['north_deg']):.2f} degrees {side} of the grid's" if report["crs"] else ""
     yield from _counted("heading", report["heading"], used, "", "nothing needs it", north)
     known = "" if sigma is None else f"+- {sigma[0]:.2g}, {sigma[2]:.2g} m"
-    yield from _counted("position", report["position"], used, known, "the scale follows from heights alone",
+    yield from _counted("position", report["position"], used, known, f"the scale follows from {scale}",
                         f"in {report['crs']}" if report["crs"] else "")  # fmt: skip
     if report["altitude_range"]:
         low, high = report["altitude_range"]
         yield from _row("altitude", f"{low:.1f} to {high:.1f} m", f"counted from: {report['vertical']}")
     how = "not found: give water_level or take_off_above_water" if not report["height"] else "above the water"
     yield from _row("height", f"{report['height']} of {used}", how)
-    if report.get("marks"):
-        yield from _marks(report["marks"], used)
+    if marks:
+        yield from _marks(marks, used)
 
 
 def _marks(marks: Mapping[str, Any], used: int) -> Iterator[str]:
