@@ -122,9 +122,11 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
         listing = Listing(list(frames), {}, [])
     selection = _select(listing, options, recorder)
     photographs = selection.photographs
+    notes: list[str] = []
     subtitles = None if film is None else subtitles_beside(film)
     if subtitles is not None:
         photographs = [subtitles.told(frame, frames[frame.path]) for frame in photographs]
+        notes += [subtitles.problem] if subtitles.problem else []
     folder = common_folder(one.path for one in photographs)
     if film is None:
         _require_apart(out, photographs)
@@ -132,9 +134,9 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
     rows, crs = _rows(options, names)
     cameras = camera_names(photographs, options.cameras)
     sigma = options.position_sigma
-    notes: list[str] = []
     if options.look:
-        photographs, notes = with_right_halves(photographs)
+        photographs, turned = with_right_halves(photographs)
+        notes += turned
     gathered = gather(
         photographs, names, rows, cameras, options.gravity_sigma_deg, None if sigma is None else (sigma[0], sigma[1])
     )
@@ -145,12 +147,13 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
     where = IMAGES if film is not None else _folder_name(folder, out)
     content = capture_content(where, gathered, lenses, placement, water)
     write_json(content, place / CAPTURE)
-    marks = None
+    told = None
     if pattern is not None:
         paths = [one.path for one in photographs]
-        marks = find_marks(pattern, options.board, paths, names, options.board_sigma, recorder)
-        if len(marks.survey.control_names):
-            write_survey(marks.survey, place / SURVEY)
+        survey, told, about_boards = find_marks(pattern, options.board, paths, names, options.board_sigma, recorder)
+        notes += about_boards
+        if len(survey.control_names):
+            write_survey(survey, place / SURVEY)
     left_out = {_shown(path, folder): reason for path, reason in selection.left_out.items()}
     report: dict[str, Any] = {
         "format": REPORT_FORMAT,
@@ -159,9 +162,9 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
         "out": str(out),
         "folder": str(folder if film is None else out / IMAGES),
         **found(content, gathered, lenses, placement),
-        "marks": None if marks is None else marks.told,
+        "marks": told,
         "left_out": left_out,
-        "notes": [*notes, *([] if marks is None else marks.notes), *oddities(gathered, lenses, listing.films)],
+        "notes": [*notes, *oddities(gathered, lenses, listing.films)],
     }
     write_json(report, place / REPORT)
     return report

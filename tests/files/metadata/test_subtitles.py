@@ -160,5 +160,6 @@ def test_subtitles_are_those_with_the_name_of_the_film(tmp_path):
     _written(tmp_path / "DJI_0002.SRT", ("00:00:00,000", "ISO:100"))
 
     assert subtitles_beside(tmp_path / "DJI_0001.MP4").path.name == "DJI_0001.srt"
-    assert subtitles_beside(tmp_path / "DJI_0002.MP4") is None
+    assert subtitles_beside(tmp_path / "DJI_0001.MP4").problem == ""
+    assert subtitles_beside(tmp_path / "DJI_0002.MP4").problem.startswith("DJI_0002.SRT says nothing that is read here")
     assert subtitles_beside(tmp_path / "DJI_0003.MP4") is None

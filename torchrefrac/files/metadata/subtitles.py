@@ -56,6 +56,13 @@ class Subtitles:
     path: Path
     known: Mapping[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]]
 
+    @property
+    def problem(self) -> str:
+        """A sentence where they say nothing; empty otherwise."""
+        return (
+            "" if self.known else f"{self.path.name} says nothing that is read here of where or how the film was taken"
+        )
+
     def at(self, seconds: float) -> dict[str, float]:
         """What is known at some time, between two lines in proportion."""
         return {
@@ -78,12 +85,11 @@ class Subtitles:
 
 
 def subtitles_beside(film: Path) -> Subtitles | None:
-    """Those with the name of a film; None where there are none, or none that say where it was taken or how."""
+    """Those with the name of a film; None where there are none."""
     stem = film.stem.lower()
     for path in sorted(film.parent.iterdir()):
         if path.suffix.lower() == ENDING and path.stem.lower() == stem and path.is_file():
-            found = read_subtitles(path)
-            return found if found.known else None
+            return read_subtitles(path)
     return None
 
 
