@@ -155,6 +155,15 @@ def test_a_frame_gets_what_it_does_not_say_itself(tmp_path):
     assert (told.lens.sigma, told.lens.source, told.has_tags) == (0.1, "subtitles, 35 mm equivalent", True)
 
 
+@pytest.mark.parametrize("focal", ["12.29", "9999.00"])
+def test_a_focal_length_that_is_no_equivalent_is_not_believed(tmp_path, focal):
+    plain = read_photograph(write_photograph(tmp_path / "frame.jpg", size=(160, 90)))
+    found = read_subtitles(_written(tmp_path / "a.srt", ("00:00:00,000", f"[focal_len: {focal}]")))
+
+    assert found.at(0.0) == {"focal": float(focal)}
+    assert found.told(plain, 0.0) == plain
+
+
 def test_subtitles_are_those_with_the_name_of_the_film(tmp_path):
     _written(tmp_path / "DJI_0001.srt", ("00:00:00,000", "GPS(8,47,16)"))
     _written(tmp_path / "DJI_0002.SRT", ("00:00:00,000", "ISO:100"))
