@@ -18,8 +18,10 @@ if TYPE_CHECKING:
         to_kornia,
     )
     from torchrefrac.commands.adjust import adjust
+    from torchrefrac.commands.import_photographs import import_photographs
     from torchrefrac.commands.reconstruct import reconstruct
     from torchrefrac.config import Options
+    from torchrefrac.config.importing import ImportOptions
     from torchrefrac.dense import DenseOptions, densify, patch_costs
     from torchrefrac.errors import TorchrefracError
     from torchrefrac.evaluate.metrics import evaluate
@@ -41,8 +43,10 @@ _HOME = {
     "bundle": ("BundleOptions", "adjust_differentiably"),
     "camera": ("Intrinsics", "LearnableCamera", "RefractiveCamera", "from_kornia", "remove_refraction", "to_kornia"),
     "commands.adjust": ("adjust",),
+    "commands.import_photographs": ("import_photographs",),
     "commands.reconstruct": ("reconstruct",),
     "config": ("Options",),
+    "config.importing": ("ImportOptions",),
     "dense": ("DenseOptions", "densify", "patch_costs"),
     "errors": ("TorchrefracError",),
     "evaluate.metrics": ("evaluate",),
@@ -64,12 +68,12 @@ _MODULES = ("bundle", "minimal", "ransac", "refinement", "sfm")
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
-    "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "FlatInterface", "Interfaces", "Intrinsics",
-    "LearnableCamera", "Observations", "Options", "Plane", "ReadjustOptions", "RefractiveCamera", "Rigid", "Scene",
-    "SfmOptions", "Survey", "TorchrefracError", "Truth", "Views", "adjust", "adjust_differentiably", "bundle",
-    "densify", "embedded_scene", "evaluate", "from_kornia", "load_cameras", "load_capture", "load_truth",
-    "made_scene", "minimal", "patch_costs", "ransac", "read_scene", "read_survey", "reconstruct", "refinement",
-    "remove_refraction", "sfm", "solve_refrax", "to_kornia", "water_index",
+    "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "FlatInterface", "ImportOptions", "Interfaces",
+    "Intrinsics", "LearnableCamera", "Observations", "Options", "Plane", "ReadjustOptions", "RefractiveCamera", "Rigid",
+    "Scene", "SfmOptions", "Survey", "TorchrefracError", "Truth", "Views", "adjust", "adjust_differentiably", "bundle",
+    "densify", "embedded_scene", "evaluate", "from_kornia", "import_photographs", "load_cameras", "load_capture",
+    "load_truth", "made_scene", "minimal", "patch_costs", "ransac", "read_scene", "read_survey", "reconstruct",
+    "refinement", "remove_refraction", "sfm", "solve_refrax", "to_kornia", "water_index",
 ]  # fmt: skip
 
 

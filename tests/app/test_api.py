@@ -7,14 +7,15 @@ import sys
 import pytest
 
 import torchrefrac
+from tests.files.metadata.made_photographs import write_photograph
 
 PUBLIC = {
-    "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "FlatInterface", "Interfaces", "Intrinsics",
-    "LearnableCamera", "Observations", "Options", "Plane", "ReadjustOptions", "RefractiveCamera", "Rigid", "Scene",
-    "SfmOptions", "Survey", "TorchrefracError", "Truth", "Views", "adjust", "adjust_differentiably", "bundle",
-    "densify", "embedded_scene", "evaluate", "from_kornia", "load_cameras", "load_capture", "load_truth",
-    "made_scene", "minimal", "patch_costs", "ransac", "read_scene", "read_survey", "reconstruct", "refinement",
-    "remove_refraction", "sfm", "solve_refrax", "to_kornia", "water_index",
+    "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "FlatInterface", "ImportOptions", "Interfaces",
+    "Intrinsics", "LearnableCamera", "Observations", "Options", "Plane", "ReadjustOptions", "RefractiveCamera", "Rigid",
+    "Scene", "SfmOptions", "Survey", "TorchrefracError", "Truth", "Views", "adjust", "adjust_differentiably", "bundle",
+    "densify", "embedded_scene", "evaluate", "from_kornia", "import_photographs", "load_cameras", "load_capture",
+    "load_truth", "made_scene", "minimal", "patch_costs", "ransac", "read_scene", "read_survey", "reconstruct",
+    "refinement", "remove_refraction", "sfm", "solve_refrax", "to_kornia", "water_index",
 }  # fmt: skip
 HEAVY = ("hydra", "omegaconf", "kornia", "tensorboard", "matplotlib", "trimesh")
 
@@ -55,6 +56,17 @@ def test_files_of_runs_and_sweeps_and_the_base_of_errors_do_without_torch():
     code = "import torchrefrac; import torchrefrac.files.run, torchrefrac.sweeps.folder; torchrefrac.TorchrefracError"
 
     assert _loaded(code, "torch", "numpy", *HEAVY) == "[]"
+
+
+def test_photographs_become_a_capture_without_the_command_line(tmp_path):
+    for i in range(2):
+        write_photograph(tmp_path / "DCIM" / f"{i}.jpg", seed=i)
+
+    options = torchrefrac.ImportOptions(photos=str(tmp_path / "DCIM"), out=str(tmp_path / "river"), focal_px=80.0)
+    report = torchrefrac.import_photographs(options)
+
+    assert report["used"] == 2
+    assert torchrefrac.load_capture(tmp_path / "river").cameras.focal.tolist() == [[80.0, 80.0]]
 
 
 def test_a_capture_reconstructs_without_the_command_line(sparse):

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -53,6 +54,32 @@ def test_sharp_frames_are_taken_as_far_apart_as_wanted(torchrefrac, film, tmp_pa
     assert capture.cameras.focal[0].tolist() == [300.0, 300.0]
     assert json.loads((tmp_path / "river" / "capture.json").read_text())["folder"] == "images"
     assert (film / "flight.avi").read_bytes() == before
+
+
+def test_subtitles_beside_a_film_say_where_and_how_each_frame_was_taken(torchrefrac, film, tmp_path):
+    shutil.copy(film / "flight.avi", tmp_path / "DJI_0001.avi")
+    blocks = [
+        f"{i}\n00:00:{i // 2:02d},{i % 2 * 500:03d} --> 00:00:09,000\n[latitude: {46.8 + 1e-4 * i:.6f}] "
+        f"[longitude: 8.0] [rel_alt: {40 + i}.0 abs_alt: {440 + i}.0] [focal_len: 240] "
+        "[gb_yaw: 90.0 gb_pitch: -80.0 gb_roll: 0.0]\n\n"
+        for i in range(5)
+    ]
+    (tmp_path / "DJI_0001.SRT").write_text("".join(blocks))
+
+    ended = torchrefrac("import", "photos=DJI_0001.avi", "out=river")
+
+    assert ended.status == 0, ended.err
+    with (tmp_path / "river" / "frames.csv").open(newline="") as file:
+        seconds = [float(row["seconds"]) for row in csv.DictReader(file)]
+    content = json.loads((tmp_path / "river" / "capture.json").read_text())
+    positions = np.array([image["position"] for image in content["images"]])
+    assert positions[:, 2] == pytest.approx([440.0 + 2.0 * time for time in seconds], abs=0.01)
+    assert np.diff(positions[:, 1]) == pytest.approx(22.24 * np.diff(seconds), rel=0.01, abs=0.05)
+    assert all(image["down_in_cam"][2] == pytest.approx(np.sin(np.deg2rad(80.0))) for image in content["images"])
+    (camera,) = content["cameras"].values()
+    assert camera["sigma"]["focal"] == 0.1
+    assert "gimbal (subtitles)" in ended.out
+    assert "neither EXIF nor XMP" not in ended.out
 
 
 def test_another_film_takes_the_frames_of_the_first_away(torchrefrac, film, tmp_path):

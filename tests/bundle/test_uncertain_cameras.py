@@ -8,6 +8,7 @@ import torch
 from tests.bundle.changes import changed
 from torchrefrac.bundle import BundleOptions, adjust, adjust_differentiably, adjust_pose, determinations, uncertainty
 from torchrefrac.bundle.layout import Layout
+from torchrefrac.bundle.observability import coefficients_as_stated
 from torchrefrac.bundle.score import wished_changes
 from torchrefrac.bundle.terms import Expectations, GlobalPrior, expectations
 
@@ -119,6 +120,24 @@ def test_how_well_each_camera_is_determined_is_said_by_its_name(plant):
     assert focal.sentence.endswith("(known to 0.05 before)")
     assert 0.0 < float(known.intrinsics["focal"][0]) < 0.05
     assert float(known.intrinsics["focal"][1]) == 0.0
+
+
+def test_coefficients_beyond_the_fifth_stay_as_stated_and_that_is_said(plant):
+    planted = plant(views=6, points=60, cameras=2)
+    distortion = torch.zeros(2, 8, dtype=torch.float64)
+    distortion[0, 5:] = torch.tensor([0.02, -0.01, 0.003])
+    start = stating(changed(planted.truth, distortion=distortion), distortion=[0.05, 0.05])
+    start = replace(start, cameras=replace(start.cameras, names=("phone", "gopro")))
+
+    report = planted.adjusted(start, terms=[planted.gravity], pixel_sigma=0.1)
+
+    found = report.scene.cameras.distortion
+    assert torch.equal(found[:, 5:], distortion[:, 5:])
+    assert bool((found[0, :5] != 0.0).all())  # these make up for it
+    assert coefficients_as_stated(report.problem.layout, report.scene.cameras) == {
+        "k4_to_k6 of phone": "k4 to k6 of phone: as stated, for nothing tells them from k1 to k3"
+    }
+    assert coefficients_as_stated(Layout.create(planted.truth), start.cameras) == {}
 
 
 def test_the_images_say_what_they_wish_of_each_camera_that_is_exact(plant):

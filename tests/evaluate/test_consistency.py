@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchrefrac.evaluate.consistency import contradictions
-from torchrefrac.scene import Assessment, WaterExtent
+from torchrefrac.scene import Assessment, Cameras, WaterExtent
 
 
 @pytest.fixture
@@ -50,6 +50,22 @@ def test_a_view_with_few_large_errors_is_named(survey):
     scene = replace(scene, observations=replace(scene.observations, pixels=pixels), accepted=few)
     (found,) = contradictions(scene, survey.capture)
     assert (found.code, found.images) == ("weak_image", ("5.jpg",))
+
+
+def test_a_camera_none_of_whose_photographs_is_placed_is_named(survey):
+    scene = survey.scene(with_points=True)
+    cameras = Cameras.of([scene.cameras[0]] * 2, ("phone", "gopro"))
+    camera, lost = torch.arange(6) // 4, torch.arange(6) >= 4
+    views = replace(scene.views, camera=camera)
+    assert _codes(replace(scene, cameras=cameras, views=views), survey.capture) == []
+
+    views = replace(views, registered=views.registered & ~lost)
+    rows = ~lost[scene.observations.view]
+    scene = replace(scene, cameras=cameras, views=views, failures={"4.jpg": "sees nothing"}, accepted=rows)
+    (found,) = contradictions(scene, survey.capture)
+
+    assert (found.code, found.images) == ("camera_not_placed", ("4.jpg", "5.jpg"))
+    assert "none of the photographs of gopro could be placed (4.jpg, 5.jpg: sees nothing)" in found.message
 
 
 def test_copies_of_a_photograph_are_told(survey, tmp_path):

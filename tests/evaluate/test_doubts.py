@@ -31,3 +31,11 @@ def test_a_principal_point_far_from_the_middle_is_doubted(stated, center, share)
 def test_others_are_not(stated, center):
     assert doubts(stated) == ()
     assert doubts(replace(stated, cameras=Cameras.of([Intrinsics.create(640, 480, 417.0, center)]))) == ()
+
+
+def test_a_camera_whose_principal_point_is_doubted_is_named(stated):
+    lenses = [Intrinsics.create(640, 480, 417.0), Intrinsics.create(640, 480, 417.0, (0.0, 240.0))]
+
+    (found,) = doubts(replace(stated, cameras=Cameras.of(lenses, ("phone", "gopro"))))
+
+    assert found.message.startswith("the principal point of gopro is stated at (0.0, 240.0)")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchrefrac.files.survey import read_survey
+from torchrefrac.files.survey import read_survey, write_survey
 from torchrefrac.scene.capture import CaptureError
 from torchrefrac.scene.survey import Survey, SurveyError
 
@@ -125,6 +125,30 @@ def test_one_sigma_of_a_centre_holds_for_all_axes(read):
     survey = read(lambda c: c["images"]["a.jpg"].update(center_sigma=0.5))
 
     assert survey.center_information[0].numpy() == pytest.approx(4.0 * np.eye(3))
+
+
+def test_what_is_written_is_read_as_the_same(read, tmp_path):
+    survey = read()
+
+    write_survey(survey, tmp_path / "written.json")
+
+    again = read_survey(tmp_path / "written.json", NAMES)
+    for field in dataclasses.fields(Survey):
+        first, second = getattr(survey, field.name), getattr(again, field.name)
+        if isinstance(first, torch.Tensor):
+            torch.testing.assert_close(second, first, rtol=1e-12, atol=1e-12, msg=field.name)
+        else:
+            assert first == second
+    write_survey(Survey.empty(NAMES), tmp_path / "empty.json")
+    assert _same(read_survey(tmp_path / "empty.json", NAMES), Survey.empty(NAMES))
+
+
+def test_errors_of_known_positions_that_go_together_cannot_be_written(read, tmp_path):
+    survey = read()
+    together = dataclasses.replace(survey, known_information=torch.tensor([COVARIANCE], dtype=torch.float64))
+
+    with pytest.raises(SurveyError, match=r"no place for errors of positions that go together, as of B; give sigmas$"):
+        write_survey(together, tmp_path / "written.json")
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])

@@ -22,12 +22,20 @@ def test_each_camera_has_a_row_with_what_was_found():
     metrics = {"camera_phone_focal_px": 417.03, "camera_phone_focal_sigma_px": 0.2}
     none = torch.zeros(0, dtype=torch.uint8).view(0, 3)
     scene = Scene.of_capture(mixed, Observations.none(), none, 1.33)
+    placed = torch.arange(8) % 4 < 2
+    scene = replace(scene, views=replace(scene.views, registered=placed))
     contents = RunContents(RunRecord(Path(), metrics=metrics), scene=scene, capture=mixed)
 
     found = cameras(contents)
 
     assert [[cell.text for cell in row] for row in found.rows] == [
-        ["phone", "opencv", "640 \u00d7 480", "4", "400 \u00b1 4", "417.0 \u00b1 0.2"],
-        ["gopro", "fisheye", "48 \u00d7 64", "4", "30.000", "as stated"],
+        ["phone", "opencv", "640 \u00d7 480", "2 of 4", "400 \u00b1 4", "417.0 \u00b1 0.2"],
+        ["gopro", "fisheye", "48 \u00d7 64", "2 of 4", "30.000", "as stated"],
     ]
+    unused = replace(contents, scene=replace(scene, views=replace(scene.views, registered=torch.arange(8) % 2 == 0)))
+    assert [[cell.text for cell in row[3:]] for row in cameras(unused).rows] == [
+        ["4 of 4", "400 \u00b1 4", "417.0 \u00b1 0.2"],
+        ["0 of 4", "30.000", "not used"],
+    ]
+    assert cameras(replace(contents, scene=None)).rows[0][3].text == "4"
     assert cameras(replace(contents, capture=capture)) is None

@@ -464,3 +464,20 @@ def test_options_that_cannot_work_are_refused():
         ReadjustOptions(rounds=0)
     with pytest.raises(ValueError, match="max_error is -1"):
         ReadjustOptions(max_error=-1.0)
+
+
+def test_of_an_uncertain_rational_distortion_five_coefficients_are_found_and_three_stay_as_stated(plant):
+    truth = plant(noise=0.3, cameras=5, points=50, distortion=(-0.05, 0.01, 0.0, 0.0, 0.0, 0.02, -0.01, 0.002)).truth
+    sigma = torch.full_like(truth.cameras.distortion_sigma, 0.01)
+    off = truth.cameras.distortion.new_tensor((0.005, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    stated = replace(truth.cameras, distortion=truth.cameras.distortion + off, distortion_sigma=sigma)
+
+    scene, outcome = readjust(replace(truth, cameras=stated), Survey.empty(truth.views.names))
+
+    assert outcome.done
+    found = scene.cameras.distortion[0]
+    assert float((found[0] - truth.cameras.distortion[0, 0]).abs()) < 0.004
+    assert torch.equal(found[5:], stated.distortion[0, 5:])
+    known = scene.assessment
+    assert known.fixed == {"k4_to_k6": "k4 to k6: as stated, for nothing tells them from k1 to k3"}
+    assert known.determined[0].startswith("distortion: determined to 0.00")

@@ -10,9 +10,10 @@ from torch import Tensor
 from torchrefrac.bundle.gauge import SCALE, similarity_motions
 from torchrefrac.bundle.layout import WATER_WIDTH, Layout
 from torchrefrac.bundle.problem import BundleProblem
+from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.bundle.terms import GlobalPrior, HeightPrior, prior_sigmas
 from torchrefrac.optim import Covariance, SingularError
-from torchrefrac.scene import Scene
+from torchrefrac.scene import Cameras, Scene
 
 UNNOTICED = 1e-6
 WORDS = {
@@ -123,6 +124,16 @@ def determinations(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> 
     result.append(_judged("plane_height", above, 1.0 / height, expected.plane_height))
     result.append(Determination("scale", _scale_deviation(found.reduced, motions, fixed, weights, gauge) * pixel_sigma))
     return result
+
+
+def coefficients_as_stated(layout: Layout, cameras: Cameras) -> dict[str, str]:
+    """What does not vary of distortions that do, and a sentence about it of each camera that has it."""
+    if "distortion" not in layout.intrinsics:
+        return {}
+    varies = (layout.intrinsics_columns("distortion", layout.cameras) < layout.size).any(dim=-1)
+    beyond = (cameras.distortion[:, INTRINSICS["distortion"].width :] != 0.0).any(dim=-1)
+    labels = [cameras.label(camera) for camera in layout.camera.unique().tolist() if bool((varies & beyond)[camera])]
+    return {f"k4_to_k6{label}": f"k4 to k6{label}: as stated, for nothing tells them from k1 to k3" for label in labels}
 
 
 def _judged(name: str, sigma: float, unit: float, prior: float | None, of: str = "") -> Determination:

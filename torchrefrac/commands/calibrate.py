@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
+from torchrefrac.commands.boards import board_of
 from torchrefrac.config.importing import CalibrateOptions
-from torchrefrac.files.metadata.boards import Board
+from torchrefrac.files.metadata.boards import Pattern
 from torchrefrac.files.metadata.camera_file import write_camera
 from torchrefrac.files.metadata.header import read_header
 from torchrefrac.files.metadata.lens import GUESSED_SIGMA, Lens
@@ -21,6 +22,7 @@ from torchrefrac.recorder import Recorder
 from torchrefrac.scene.capture import CaptureError
 
 FEWEST_PHOTOGRAPHS = 4  # from different sides; fewer leave the focal length open
+FEWEST_CORNERS = 8  # of a board in a photograph that is used
 LEAST_SIGMA = 1e-4  # relative; boards are not flatter than that
 LEAST_CENTER_SIGMA = 0.05  # px
 COVERAGE = 0.6  # of the image's sides that corners must reach over
@@ -52,7 +54,7 @@ def calibrate(options: CalibrateOptions, recorder: Recorder) -> Calibration:
     """Write the camera.json. Raises CaptureError where the board is found in too few photographs, or they have several
     sizes."""
     pictures = list_photographs(options.sources, real_path(options.out)).pictures
-    found = _find(pictures, _board(options), recorder)
+    found = _find(pictures, board_of(options), recorder)
     without = tuple(path.name for path in pictures if path not in found)
     if len(found) < FEWEST_PHOTOGRAPHS:
         remedy = "check board, columns, rows and dictionary, and photograph it from several sides"
@@ -86,18 +88,12 @@ def calibration_lines(result: Calibration, out: str) -> list[str]:
     return [*lines, f"written to {out}; go on with: torchrefrac import camera={out} ..."]
 
 
-def _board(options: CalibrateOptions) -> Board:
-    if options.board == "chessboard":
-        return Board(options.columns, options.rows, options.square)
-    return Board.charuco(options.columns, options.rows, options.square, options.marker, options.dictionary)
-
-
-def _find(pictures: Sequence[Path], board: Board, recorder: Recorder) -> dict[Path, Corners]:
-    found = {}
+def _find(pictures: Sequence[Path], board: Pattern, recorder: Recorder) -> dict[Path, Corners]:
+    found: dict[Path, Corners] = {}
     for path in recorder.track(pictures, len(pictures), "looking for the board", "photograph"):
-        corners = board.find(path)
-        if corners is not None:
-            found[path] = corners
+        for one in board.find(path).seen:
+            if len(one.number) >= FEWEST_CORNERS:
+                found[path] = one.place, one.pixels
     return found
 
 

@@ -8,10 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from torchrefrac.commands.boards import find_marks, pattern_of
 from torchrefrac.commands.import_report import found, oddities
 from torchrefrac.commands.results import OutRefusedError
 from torchrefrac.config.importing import ImportOptions
-from torchrefrac.files.fields import read_json, write_json
+from torchrefrac.files.fields import Fields, read_json, write_json
 from torchrefrac.files.metadata.camera_file import read_camera
 from torchrefrac.files.metadata.content import Water, capture_content
 from torchrefrac.files.metadata.film import take_frames, write_times
@@ -25,10 +26,12 @@ from torchrefrac.files.metadata.photograph import Photograph, read_photograph
 from torchrefrac.files.metadata.placing import place_all
 from torchrefrac.files.metadata.position import Vertical
 from torchrefrac.files.metadata.quality import look_at, useless
+from torchrefrac.files.metadata.subtitles import subtitles_beside
 from torchrefrac.files.metadata.table import Row, read_table
 from torchrefrac.files.paths import real_path
+from torchrefrac.files.survey import SURVEY, write_survey
 from torchrefrac.files.swap import PARTIAL, alone, finish, remove_if_empty, swap
-from torchrefrac.recorder import Recorder
+from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene.capture import CaptureError
 
 CAPTURE, REPORT, TIMES = "capture.json", "import.json", "frames.csv"
@@ -43,14 +46,14 @@ class _Selection(NamedTuple):
     left_out: dict[Path, str]
 
 
-def import_photographs(options: ImportOptions, recorder: Recorder) -> dict[str, Any]:
-    """Write capture.json and import.json into the folder `out`; returns what the latter says: what was found of which
-    photographs, and where.
+def import_photographs(options: ImportOptions, recorder: Recorder | None = None) -> dict[str, Any]:
+    """Write capture.json and import.json into the folder `out`, and survey.json where boards or tags were found;
+    returns what import.json says: what was found of which photographs, and where.
 
     Photographs stay where they are, and nothing is written among them. A capture.json that import wrote, and that
     nobody has changed since, is replaced as a whole. Raises CaptureError where there are fewer than two photographs
-    that can be used or something stated cannot be right, OutRefusedError where `out` holds another capture.json or lies
-    among the photographs.
+    that can be used or something stated cannot be right, OutRefusedError where `out` holds another capture.json, or
+    another survey.json and boards were asked for, or lies among the photographs.
     """
     out = real_path(options.out)
     is_new = not out.exists()
@@ -59,10 +62,12 @@ def import_photographs(options: ImportOptions, recorder: Recorder) -> dict[str, 
         with alone(out):
             finish(out)
             earlier, place = _earlier_files(out), out / PARTIAL
+            if options.board != "none" and SURVEY not in earlier:
+                _require_no_survey(out)
             shutil.rmtree(place, ignore_errors=True)
             place.mkdir()
             try:
-                report = _import_into(place, out, options, recorder)
+                report = _import_into(place, out, options, recorder or SilentRecorder())
                 swap(place, earlier)
             finally:
                 shutil.rmtree(place, ignore_errors=True)
@@ -73,32 +78,55 @@ def import_photographs(options: ImportOptions, recorder: Recorder) -> dict[str, 
 
 
 def _earlier_files(out: Path) -> list[str]:
-    """The files of an earlier import into `out`. Raises OutRefusedError where there is a capture.json of somebody
-    else."""
+    """The files of an earlier import into `out`; without a survey.json that was changed since. Raises OutRefusedError
+    where there is a capture.json of somebody else."""
     capture, report = out / CAPTURE, out / REPORT
     if not capture.exists():
         return []
-    refused = OutRefusedError(
-        f"{capture} was not written by import, or has been changed since; name another folder as out, or remove it"
-    )
+    refused = _not_ours(capture)
     if not report.is_file():
         raise refused
     try:
         top = read_json(report)
-        if top.text("capture_sha256", "none") != _digest(capture.read_bytes()):
+        if not _is_as_written(capture, top):
             raise refused
-        return [name for name in top.texts("files") if ".." not in Path(name).parts and not Path(name).is_absolute()]
+        names = [name for name in top.texts("files") if ".." not in Path(name).parts and not Path(name).is_absolute()]
     except CaptureError:
         raise refused from None
+    return [name for name in names if name != SURVEY or _is_as_written(out / SURVEY, top)]
+
+
+def _is_as_written(path: Path, report: Fields) -> bool:
+    """Whether a file is the one that an import reported on."""
+    return path.is_file() and report.text(f"{path.stem}_sha256", "none") == _digest(path)
+
+
+def _require_no_survey(out: Path) -> None:
+    survey = out / SURVEY
+    if survey.exists():
+        raise _not_ours(survey)
+
+
+def _not_ours(path: Path) -> OutRefusedError:
+    changed = "was not written by import, or has been changed since"
+    return OutRefusedError(f"{path} {changed}; name another folder as out, or remove it")
 
 
 def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recorder) -> dict[str, Any]:
+    pattern = pattern_of(options)
     listing = list_photographs(options.sources, out)
     film = _film(options, listing)
+    frames: dict[Path, float] = {}
     if film is not None:
-        listing = Listing(_frames(film, place, options, recorder), {}, [])
+        frames = _frames(film, place, options, recorder)
+        listing = Listing(list(frames), {}, [])
     selection = _select(listing, options, recorder)
     photographs = selection.photographs
+    notes: list[str] = []
+    subtitles = None if film is None else subtitles_beside(film)
+    if subtitles is not None:
+        photographs = [subtitles.told(frame, frames[frame.path]) for frame in photographs]
+        notes += [subtitles.problem] if subtitles.problem else []
     folder = common_folder(one.path for one in photographs)
     if film is None:
         _require_apart(out, photographs)
@@ -106,9 +134,9 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
     rows, crs = _rows(options, names)
     cameras = camera_names(photographs, options.cameras)
     sigma = options.position_sigma
-    notes: list[str] = []
     if options.look:
-        photographs, notes = with_right_halves(photographs)
+        photographs, turned = with_right_halves(photographs)
+        notes += turned
     gathered = gather(
         photographs, names, rows, cameras, options.gravity_sigma_deg, None if sigma is None else (sigma[0], sigma[1])
     )
@@ -119,14 +147,22 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
     where = IMAGES if film is not None else _folder_name(folder, out)
     content = capture_content(where, gathered, lenses, placement, water)
     write_json(content, place / CAPTURE)
+    told = None
+    if pattern is not None:
+        paths = [one.path for one in photographs]
+        survey, told, about_boards = find_marks(pattern, options.board, paths, names, options.board_sigma, recorder)
+        notes += about_boards
+        if len(survey.control_names):
+            write_survey(survey, place / SURVEY)
     left_out = {_shown(path, folder): reason for path, reason in selection.left_out.items()}
     report: dict[str, Any] = {
         "format": REPORT_FORMAT,
-        "capture_sha256": _digest((place / CAPTURE).read_bytes()),
+        **{f"{path.stem}_sha256": _digest(path) for path in (place / CAPTURE, place / SURVEY) if path.is_file()},
         "files": [*(path.relative_to(place).as_posix() for path in sorted(place.rglob("*.*"))), REPORT],
         "out": str(out),
         "folder": str(folder if film is None else out / IMAGES),
         **found(content, gathered, lenses, placement),
+        "marks": told,
         "left_out": left_out,
         "notes": [*notes, *oddities(gathered, lenses, listing.films)],
     }
@@ -141,11 +177,11 @@ def _film(options: ImportOptions, listing: Listing) -> Path | None:
     return listing.films[0] if Path(options.sources[0]).expanduser().is_file() else None
 
 
-def _frames(film: Path, place: Path, options: ImportOptions, recorder: Recorder) -> list[Path]:
-    """Frames of a film, written with their times."""
+def _frames(film: Path, place: Path, options: ImportOptions, recorder: Recorder) -> dict[Path, float]:
+    """Frames of a film, written with their times; and those times in seconds."""
     frames = take_frames(film, place / IMAGES, options.film.overlap, options.film.most, recorder)
     write_times(frames, place / TIMES)
-    return [path for path, _ in frames]
+    return {path: look.seconds for path, look in frames}
 
 
 def _select(listing: Listing, options: ImportOptions, recorder: Recorder) -> _Selection:
@@ -217,5 +253,5 @@ def _shown(path: Path, folder: Path) -> str:
     return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
 
 
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -68,13 +68,13 @@ def _convert(hint: Any, value: Any, path: str) -> Any:
 
 
 def _convert_union(choices: tuple[Any, ...], value: Any, path: str) -> Any:
-    """One kind of value, or a list of them, or null or one of some words where these are among the choices."""
+    """A value of one of some kinds, or a list, or null or one of some words where these are among the choices."""
     words = [word for choice in choices if get_origin(choice) is Literal for word in get_args(choice)]
     if value in words or (value is None and type(None) in choices):
         return value
     kinds = [choice for choice in choices if choice is not type(None) and get_origin(choice) is not Literal]
-    lists = [kind for kind in kinds if get_origin(kind) is tuple and isinstance(value, list | tuple)]
-    kind = (lists or kinds)[0]
+    fitting = [kind for kind in kinds if isinstance(value, list | tuple if get_origin(kind) is tuple else kind)]
+    kind = (fitting or kinds)[0]
     try:
         return _convert(kind, value, path)
     except OptionError as error:

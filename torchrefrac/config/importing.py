@@ -1,13 +1,22 @@
 """The typed options of the commands that come before a reconstruction: import and calibrate."""
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
-from torchrefrac.checks import Range, require_ranges
+from torchrefrac.checks import Range, require, require_ranges
 from torchrefrac.config.build import OptionError
 from torchrefrac.scene.interfaces import MAX_INDEX_RATIO
 
 ANY_ALTITUDE = Range(at_least=-1e5, at_most=1e6)  # m
+UNITS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}  # m
+LENGTH = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*([a-z]+)\s*")
+ANY_SIDE = Range(above=0.0, at_most=1e6)
+NEEDED = {
+    "none": (), "charuco": ("columns", "rows", "square"), "chessboard": ("columns", "rows", "square"),
+    "apriltag": ("tag",),
+}  # fmt: skip
+"""Options without which a board is none."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +31,55 @@ class FilmOptions:
         require_ranges(self, {"overlap": Range(at_least=0.1, at_most=0.98), "most": Range(at_least=2, at_most=10_000)})
 
 
-@dataclass(frozen=True)
-class ImportOptions:
+@dataclass(frozen=True, kw_only=True)
+class BoardOptions:
+    """A flat board, as it is photographed.
+
+    board: of which kind. columns, rows: squares of a charuco board, inner corners of a chessboard. square, marker:
+    sides, numbers or texts with a unit. dictionary: of the markers, by OpenCV's name.
+    """
+
+    board: Literal["none", "charuco", "chessboard", "apriltag"] = "charuco"
+    columns: int | None = None
+    rows: int | None = None
+    square: float | str | None = None
+    marker: float | str | None = None
+    dictionary: str = "DICT_4X4_50"
+
+    def __post_init__(self) -> None:
+        needed = NEEDED[self.board]
+        missing = [name for name in needed if getattr(self, name) is None]
+        if missing:
+            raise OptionError(f"{missing[0]} is missing, but board={self.board} needs {', '.join(needed)}")
+        side = Range(at_least=3 if self.board == "chessboard" else 2, at_most=100)
+        require_ranges(self, {"columns": side, "rows": side})
+        square, marker = self.side("square"), self.side("marker")
+        if square is not None and marker is not None and marker >= square:
+            shown = [side if isinstance(side, str) else f"{side:g}" for side in (self.marker, self.square) if side]
+            raise OptionError(f"marker is {shown[0]}, but must be smaller than the square of {shown[1]}")
+
+    def side(self, name: str) -> float | None:
+        """An option that is a length, in m where it has a unit."""
+        return length_in_m(name, getattr(self, name))
+
+
+def length_in_m(name: str, value: float | str | None) -> float | None:
+    """A length with a unit, such as 30mm, in m; a number as it is, and None where nothing is given."""
+    if value is None:
+        return None
+    if isinstance(value, str):
+        found = LENGTH.fullmatch(value)
+        if found is None or found[2] not in UNITS:
+            raise OptionError(
+                f"{name} is {value!r}, but must be a number with a unit ({', '.join(UNITS)}), such as 30mm"
+            )
+        value = float(found[1]) * UNITS[found[2]]
+    require(value, name, **ANY_SIDE._asdict())
+    return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions(BoardOptions):
     """Photographs from the command line, what is known of them beside what their files say, and where capture.json
     goes.
 
@@ -32,7 +88,9 @@ class ImportOptions:
     water's altitude; take_off_above_water: height of the place of the take-off. cameras: what tells cameras apart.
     camera: a file written by `torchrefrac calibrate`. focal_px: of all photographs. gravity_sigma_deg, position_sigma
     (horizontal, vertical; m), focal_sigma (relative): instead of those by the makers of the devices. look: whether
-    photographs are looked at, and useless ones left out. quiet: only errors are said.
+    photographs are looked at, and useless ones left out. board and what goes with it: what lies in the scene and gives
+    its scale, if anything; family and tag: of tags, with the side of their black square; board_sigma: of lengths on it,
+    relative. quiet: only errors are said.
     """
 
     photos: str | tuple[str, ...]
@@ -51,9 +109,15 @@ class ImportOptions:
     focal_sigma: float | None = None
     look: bool = True
     film: FilmOptions = FilmOptions()
+    board: Literal["none", "charuco", "chessboard", "apriltag"] = "none"
+    family: str = "tag36h11"
+    tag: float | str | None = None
+    board_sigma: float = 0.002
     quiet: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+        self._require_units()
         if not self.out.strip():
             raise OptionError("out is empty, but must be the folder for capture.json")
         if not self.sources or not all(source.strip() for source in self.sources):
@@ -78,6 +142,7 @@ class ImportOptions:
                 "gravity_sigma_deg": Range(above=0.0, at_most=30.0),
                 "position_sigma": Range(above=0.0, at_most=1e6),
                 "focal_sigma": Range(above=0.0, at_most=1.0),
+                "board_sigma": Range(above=0.0, at_most=1.0),
             },
         )
 
@@ -86,36 +151,34 @@ class ImportOptions:
         """Every folder, file or pattern."""
         return (self.photos,) if isinstance(self.photos, str) else self.photos
 
+    def _require_units(self) -> None:
+        """Of what gives the scene its scale."""
+        for name in ("square", "marker", "tag"):
+            value = getattr(self, name)
+            length_in_m(name, value)
+            if value is not None and not isinstance(value, str):
+                raise OptionError(f"{name} is {value:g}, but must have a unit, such as {value:g}mm")
 
-@dataclass(frozen=True)
-class CalibrateOptions:
-    """Photographs of a board from the command line, and what the board is like.
 
-    columns, rows: squares of a charuco board, inner corners of a chessboard. square, marker: sides in any unit.
-    dictionary: of the markers, by OpenCV's name. out: path of the file that is written. quiet: only errors are said.
+@dataclass(frozen=True, kw_only=True)
+class CalibrateOptions(BoardOptions):
+    """Photographs of a board from the command line, and what the board is like; its sides in any unit.
+
+    out: path of the file that is written. quiet: only errors are said.
     """
 
     photos: str | tuple[str, ...]
     out: str
-    columns: int
-    rows: int
-    square: float
-    marker: float | None = None
     board: Literal["charuco", "chessboard"] = "charuco"
-    dictionary: str = "DICT_4X4_50"
     model: Literal["opencv", "rational", "fisheye"] = "opencv"
     quiet: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.out.strip():
             raise OptionError("out is empty, but must be the path of the camera.json to write")
         if not self.sources or not all(source.strip() for source in self.sources):
             raise OptionError("photos is empty, but must be a folder of photographs, or several")
-        side = Range(at_least=2 if self.board == "charuco" else 3, at_most=100)
-        length = Range(above=0.0, at_most=1e6)
-        require_ranges(self, {"columns": side, "rows": side, "square": length, "marker": length})
-        if self.marker is not None and self.marker >= self.square:
-            raise OptionError(f"marker is {self.marker:g}, but must be smaller than the square of {self.square:g}")
 
     @property
     def sources(self) -> tuple[str, ...]:

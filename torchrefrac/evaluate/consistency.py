@@ -63,7 +63,7 @@ def about_given(scene: Scene) -> tuple[Finding, ...]:
 
 def about_images(scene: Scene) -> tuple[Finding, ...]:
     """How well the images, and the adjustment of all, came out."""
-    return (*_weak_images(scene), *_not_converged(scene))
+    return (*_unused_cameras(scene), *_weak_images(scene), *_not_converged(scene))
 
 
 def _damaged(stated: Capture) -> list[Finding]:
@@ -178,6 +178,24 @@ def _weak_images(scene: Scene) -> list[Finding]:
         )
         for i in weak.nonzero()[:, 0].tolist()
     ]
+
+
+def _unused_cameras(scene: Scene) -> list[Finding]:
+    """Cameras none of whose images has a place, where others have one."""
+    views, findings = scene.views, []
+    used = views.camera[views.registered]
+    for row in range(len(scene.cameras)) if len(used) else ():
+        names = named(views.names, views.camera == row)
+        if not names or bool((used == row).any()):
+            continue
+        reasons = Counter(reason for name in names if (reason := scene.failures.get(name)))
+        why = f": {reasons.most_common(1)[0][0]}" if reasons else ""
+        message = (
+            f"none of the photographs{scene.cameras.label(row)} could be placed ({listed(names)}{why}), so that "
+            "nothing was found out about this camera: check that they show what the others do, and what is stated of it"
+        )
+        findings.append(Finding(WarningCode.CAMERA_NOT_PLACED, message, names))
+    return findings
 
 
 def _lens_is_grossly_wrong(scene: Scene) -> bool:

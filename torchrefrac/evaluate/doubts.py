@@ -16,8 +16,9 @@ def doubts(stated: Capture) -> tuple[Finding, ...]:
         off = max(abs(x / width - 0.5), abs(y / height - 0.5))
         if off > OFF_CENTER:
             message = (
-                f"the principal point is stated at ({x:.1f}, {y:.1f}) from the corner of {width}x{height} pixels, "
-                f"{100.0 * off:.0f} % of the size from the middle, as of photographs that were cut: check cx and cy"
+                f"the principal point{cameras.label(i)} is stated at ({x:.1f}, {y:.1f}) from the corner of "
+                f"{width}x{height} pixels, {100.0 * off:.0f} % of the size from the middle, as of photographs that "
+                "were cut: check cx and cy"
             )
             found.append(Finding(WarningCode.INTRINSICS_CONTRADICT, message))
     return tuple(found)

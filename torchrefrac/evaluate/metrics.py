@@ -50,9 +50,11 @@ def summarize(scene: Scene) -> dict[str, Any]:
 def intrinsics_metrics(scene: Scene) -> dict[str, Any]:
     """What was refined of the cameras, and how well it is known: of camera NAME `camera_NAME_focal_px` (fx; both grow
     by one factor), `camera_NAME_principal_point_px` and `camera_NAME_distortion` (as many coefficients as were
-    refined), and standard deviations with `_sigma` before the unit. Without NAME where nobody gave the camera one."""
+    refined), and standard deviations with `_sigma` before the unit. Without NAME where nobody gave the camera one.
+    Nothing of cameras none of whose views is registered."""
     cameras, metrics = scene.cameras, {}
-    for row, prefix in enumerate(camera_prefixes(cameras)):
+    used = set(scene.views.camera[scene.views.registered].tolist())
+    for row, prefix in ((row, prefix) for row, prefix in enumerate(camera_prefixes(cameras)) if row in used):
         for name, sigmas in scene.assessment.intrinsics_sigma.items():
             sigma = sigmas[row]
             if not bool((sigma > 0.0).any()):

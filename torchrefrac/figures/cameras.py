@@ -73,7 +73,11 @@ def _draw(panel: Any, shown: Scene, truth: Truth | None, frame: Float[Tensor, "3
     numbers = (shown.views.registered.nonzero()[:, 0] + 1).tolist()
     for i in {0, len(numbers) - 1}:
         at = (float(centers[i, 0]), float(centers[i, 1]))
-        panel.annotate(str(numbers[i]), at, (6, 6), textcoords="offset points", fontsize=9, color=INK, zorder=6)
+        panel.annotate(
+            str(numbers[i]), at, (9, 9), textcoords="offset points", fontsize=9, fontweight="bold", color=INK, zorder=6,
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": INK, "linewidth": 0.6, "alpha": 0.9},
+            arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.6},
+        )  # fmt: skip
 
 
 def pyramids(shown: Scene) -> Float[Tensor, "lines 4 3"]:

@@ -1,19 +1,21 @@
-"""Reading `survey.json` and checking it before anything is computed."""
+"""`survey.json`: read, with everything checked before anything is computed, and written."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from torchrefrac.files.capture import pixel_shift
-from torchrefrac.files.fields import Fields, read_json
+from torchrefrac.files.fields import Fields, read_json, write_json
 from torchrefrac.files.measured import UNIT_TOLERANCE
 from torchrefrac.scene.capture import CaptureError
 from torchrefrac.scene.survey import ControlPoint, Matrix, ScaleBar, Survey, SurveyedImage, SurveyError, resolve
 
+SURVEY = "survey.json"
 FORMAT = "torchrefrac-survey/1"
 Covariance = Float[Tensor, "3 3"]
 IMAGE_FIELDS = {
@@ -65,6 +67,60 @@ def read_survey(path: str | Path, names: Sequence[str]) -> Survey:
         wanted = f"the scene has none of them; its images are {_some(names)}"
         raise SurveyError(f"{path} names the images {_some(survey.skipped)}, but {wanted}")
     return survey
+
+
+def write_survey(survey: Survey, path: str | Path) -> None:
+    """Write what `read_survey` makes the same survey of, for the same names, to rounding; without what was skipped.
+
+    Raises SurveyError where errors of the known position of a point go together, which the format has no place for.
+    """
+    write_json(
+        {
+            "format": FORMAT,
+            "pixel_origin": "corner",
+            "images": _written_images(survey),
+            "marks": _written_controls(survey, Path(path)),
+            "scale_bars": [
+                {"from": survey.control_names[start], "to": survey.control_names[end], "length": length, "sigma": sigma}
+                for start, end, length, sigma in _rows(
+                    survey.bar_from, survey.bar_to, survey.bar_length, survey.bar_sigma
+                )
+            ],
+        },
+        Path(path),
+    )
+
+
+def _written_images(survey: Survey) -> dict[str, dict[str, Any]]:
+    images: dict[str, dict[str, Any]] = {}
+    for i, down, sigma in _rows(survey.down_image, survey.down_in_cam, survey.down_sigma.rad2deg()):
+        images.setdefault(survey.names[i], {}).update(down_in_cam=down, down_in_cam_sigma_deg=sigma)
+    for i, height, sigma in _rows(survey.height_image, survey.height, survey.height_sigma):
+        images.setdefault(survey.names[i], {}).update(height=height, height_sigma=sigma)
+    covariances = torch.linalg.inv(survey.center_information)
+    for i, center, covariance in _rows(survey.center_image, survey.center, covariances):
+        images.setdefault(survey.names[i], {}).update(center=center, center_covariance=covariance)
+    return images
+
+
+def _written_controls(survey: Survey, path: Path) -> dict[str, dict[str, Any]]:
+    controls: list[dict[str, Any]] = [{"observations": {}} for _ in survey.control_names]
+    for i, image, pixel in _rows(survey.control, survey.control_image, survey.control_pixels):
+        controls[i]["observations"][survey.names[image]] = pixel
+    variance = survey.known_information.diagonal(dim1=-2, dim2=-1)
+    for i, position, sigma in _rows(survey.known_control, survey.known_position, variance.rsqrt()):
+        controls[i] |= {"position": position, "sigma": sigma}
+    if not torch.equal(survey.known_information, variance.diag_embed()):
+        name = survey.control_names[int(survey.known_control[0])]
+        raise SurveyError(f"{path} has no place for errors of positions that go together, as of {name}; give sigmas")
+    for i, sigma in _rows(survey.waterline_control, survey.waterline_sigma):
+        controls[i] |= {"on_waterline": True, "waterline_sigma": sigma}
+    return dict(zip(survey.control_names, controls, strict=True))
+
+
+def _rows(*columns: Shaped[Tensor, "n ..."]) -> list[tuple[Any, ...]]:
+    """Of each row of a table what the columns have there."""
+    return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def _image(image: Fields) -> SurveyedImage:

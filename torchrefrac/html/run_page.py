@@ -48,6 +48,7 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
         determined=_determined(record.metrics),
         held=list((record.metrics.get("held") or {}).values()),
         cameras=cameras(contents),
+        positions=words.positions(contents.capture, record),
         heads=photograph_heads(contents),
         photographs=photographs(contents, residuals),
         timings=timings(record),

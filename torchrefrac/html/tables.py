@@ -90,15 +90,28 @@ def cameras(contents: RunContents) -> Table | None:
     if capture is None or (len(capture.cameras) == 1 and not capture.cameras.are_uncertain):
         return None
     stated, rows = capture.cameras, []
+    placed = None if scene is None else capture.camera[scene.views.registered]
     for row, prefix in enumerate(camera_prefixes(stated)):
         focal, (width, height) = float(stated.focal[row, 0]), stated.sizes[row]
         found, sigma = (contents.record.number(f"{prefix}_focal{of}_px") for of in ("", "_sigma"))
         texts = [stated.names[row], stated.models[row], f"{width} \u00d7 {height}"]
-        texts.append(str(int((capture.camera == row).sum())))
+        count = int((capture.camera == row).sum())
+        used = count if placed is None else int((placed == row).sum())
+        texts.append(str(count) if placed is None else f"{used} of {count}")
         texts.append(with_sigma(focal, focal * float(stated.focal_sigma[row])))
-        texts.append(UNKNOWN if scene is None else "as stated" if found is None else with_sigma(found, sigma))
+        texts.append(_found(scene is not None, used, found, sigma))
         rows.append([Cell(text) for text in texts])
-    return Table(["camera", "model", "size (px)", "photographs", "focal length stated (px)", "found (px)"], rows)
+    heads = ["camera", "model", "size (px)", "photographs" if placed is None else "photographs placed"]
+    return Table([*heads, "focal length stated (px)", "found (px)"], rows)
+
+
+def _found(is_done: bool, used: int, focal: float | None, sigma: float | None) -> str:
+    """What a finished run has made of a camera's focal length, by so many of its photographs."""
+    if not is_done:
+        return UNKNOWN
+    if not used:
+        return "not used"
+    return "as stated" if focal is None else with_sigma(focal, sigma)
 
 
 @dataclass(frozen=True)

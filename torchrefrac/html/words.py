@@ -51,6 +51,20 @@ def sizes(capture: Capture) -> str:
     return " and ".join(f"{count} of {width} \u00d7 {height}" for (width, height), count in counts.most_common())
 
 
+def positions(capture: Capture | None, record: RunRecord) -> str:
+    """Of how many photographs they are stated, and how far the cameras are from them; nothing where none is stated."""
+    stated = 0 if capture is None else int(capture.position_sigma.isfinite().all(dim=-1).sum())
+    if capture is None or not stated:
+        return ""
+    unit, words = capture.length_unit, [f"stated of {stated} photographs"]
+    found = [record.number(f"position_rms_{name}{unit}") for name in ("", "vertical_")]
+    if None not in found:
+        across, up = (f"{rounded(value or 0.0)} {unit}" for value in found)
+        words.append(f"cameras are {across} from them across and {up} in height (RMS)")
+    level = record.number(f"water_level_{unit}")
+    return "; ".join([*words, *([] if level is None else [f"the water stands at {level:.2f} {unit} among them"])])
+
+
 def seconds(value: float) -> str:
     """A duration."""
     if value < MINUTE:

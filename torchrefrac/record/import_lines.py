@@ -7,7 +7,7 @@ from functools import partial
 from textwrap import wrap
 from typing import Any
 
-WIDTH, INDENT, LABEL, VALUE = 100, 2, 17, 25
+WIDTH, INDENT, LABEL, VALUE = 100, 2, 17, 26
 MOST_LISTED = 12  # photographs with a reason each
 ASSUMED = "not found: assumed"
 _wrap = partial(wrap, break_on_hyphens=False)
@@ -16,7 +16,7 @@ _wrap = partial(wrap, break_on_hyphens=False)
 def import_lines(report: Mapping[str, Any]) -> list[str]:
     """Of the report of an import; no line has more than a hundred characters."""
     used, left_out = report["used"], report["left_out"]
-    head = f"{used} photographs of {os.path.relpath(report['folder'])}"
+    head = f"{used} photographs of {_path(report['folder'])}"
     lines = [head + (f", {len(left_out)} left out" if left_out else ""), ""]
     for name, camera in report["cameras"].items():
         lines += [f"camera {name}: {camera['photographs']} photographs of {camera['width']} x {camera['height']}"]
@@ -28,9 +28,14 @@ def import_lines(report: Mapping[str, Any]) -> list[str]:
         lines += ["", "left out", *_listed(left_out)]
     for note in report["notes"]:
         lines += ["", *_wrap(note, WIDTH)]
-    out = os.path.relpath(report["out"])
+    out = _path(report["out"])
     lines += ["", f"written to {out}; go on with:"]
     return [*lines, f"  torchrefrac scene=capture {shlex.quote(f'scene.path={out}')} out=outputs/my_run"]
+
+
+def _path(path: str) -> str:
+    """As seen from here, or whole where that is shorter."""
+    return min(os.path.relpath(path), path, key=len)
 
 
 def _camera(camera: Mapping[str, Any]) -> Iterator[str]:
@@ -49,20 +54,32 @@ def _spread(sigma: float | None, unit: str) -> str:
 
 
 def _statements(report: Mapping[str, Any]) -> Iterator[str]:
-    used, sigma = report["used"], report["position_sigma"]
+    used, sigma, marks = report["used"], report["position_sigma"], report.get("marks") or {}
+    scale = "the board" if marks.get("scale_bars") else "heights alone"
     yield from _counted("gravity", report["gravity"], used, f"+- {report['gravity_sigma_deg']} degrees",
                         "it will be estimated from the refraction")  # fmt: skip
     side = "left" if report["north_deg"] < 0.0 else "right"
     north = f"true north is {abs(report['north_deg']):.2f} degrees {side} of the grid's" if report["crs"] else ""
     yield from _counted("heading", report["heading"], used, "", "nothing needs it", north)
     known = "" if sigma is None else f"+- {sigma[0]:.2g}, {sigma[2]:.2g} m"
-    yield from _counted("position", report["position"], used, known, "the scale follows from heights alone",
+    yield from _counted("position", report["position"], used, known, f"the scale follows from {scale}",
                         f"in {report['crs']}" if report["crs"] else "")  # fmt: skip
     if report["altitude_range"]:
         low, high = report["altitude_range"]
         yield from _row("altitude", f"{low:.1f} to {high:.1f} m", f"counted from: {report['vertical']}")
     how = "not found: give water_level or take_off_above_water" if not report["height"] else "above the water"
     yield from _row("height", f"{report['height']} of {used}", how)
+    if marks:
+        yield from _marks(marks, used)
+
+
+def _marks(marks: Mapping[str, Any], used: int) -> Iterator[str]:
+    """Boards or tags: how many corners of how many in how many photographs."""
+    found = marks["found"]
+    corners = f"{marks['corners']} corners in {marks['photographs']} of {used}"
+    what = f"{len(found)} tag{'' if len(found) == 1 else 's'}" if marks["kind"] == "apriltag" else marks["kind"]
+    how = f"{what}; {marks['scale_bars']} scale bars, in survey.json" if marks["corners"] else "not found in two"
+    yield from _row("tags" if marks["kind"] == "apriltag" else "board", corners, how)
 
 
 def _counted(

@@ -19,6 +19,7 @@ class WarningCode(StrEnum):
     INDEX_CONTRADICTS = "index_contradicts"
     DAMAGED_IMAGE = "damaged_image"
     DUPLICATE_IMAGE = "duplicate_image"
+    CAMERA_NOT_PLACED = "camera_not_placed"
     WATER_LEVEL_CONTRADICTS = "water_level_contradicts"
     NO_REFRACTION_SEEN = "no_refraction_seen"
     SURFACE_NOT_FLAT = "surface_not_flat"

@@ -19,6 +19,7 @@ from torchrefrac.bundle import (
 )
 from torchrefrac.bundle import adjust as adjust_bundle
 from torchrefrac.bundle.layout import Layout
+from torchrefrac.bundle.observability import coefficients_as_stated
 from torchrefrac.bundle.score import Given
 from torchrefrac.numerics import typical_deviation
 from torchrefrac.optim import SingularError
@@ -165,6 +166,7 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         found = determinations(problem, scene, known.growth * known.pixel_sigma) if scene.index_ratio > 1.0 else []
     except SingularError:
         return Assessment(fixed=fixed)
+    fixed = fixed | coefficients_as_stated(problem.layout, scene.cameras)
     centers = known.pose[:, 3:, 3:]
     wished = [wished_changes(problem, scene, name, known.pixel_sigma).items() for name in GIVEN]
     return Assessment(

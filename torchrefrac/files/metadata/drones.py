@@ -26,10 +26,10 @@ true north. `FlightYawDegree` and the like are the aircraft's, which may be turn
 def attitude_of(exif: Exif, xmp: Xmp) -> Attitude | None:
     """None where the file has no angles, or all are 0: cameras without a gimbal write that."""
     for maker, names in GIMBALS.items():
-        found = _gimbal([xmp.number(name) for name in names], f"gimbal (XMP {maker})")
+        found = gimbal_attitude([xmp.number(name) for name in names], f"gimbal (XMP {maker})")
         if found is not None:
             return found
-    return _mounted(exif, xmp) or _gimbal(
+    return _mounted(exif, xmp) or gimbal_attitude(
         [exif.number(f"MakerNote Camera{angle}") for angle in ("Yaw", "Pitch", "Roll")]
         if exif.text("Image Make").upper() == "DJI"
         else [],
@@ -37,7 +37,9 @@ def attitude_of(exif: Exif, xmp: Xmp) -> Attitude | None:
     )
 
 
-def _gimbal(angles: list[float | None], source: str) -> Attitude | None:
+def gimbal_attitude(angles: list[float | None], source: str) -> Attitude | None:
+    """From yaw, pitch and roll in degrees; without a heading where there is no yaw. None where one of the others is
+    missing, or all are 0."""
     yaw, pitch, roll = angles if len(angles) == 3 else (None, None, None)
     if pitch is None or roll is None or not any(angles):
         return None

@@ -11,8 +11,9 @@ from torchrefrac.files.metadata.sensors import sensor_width
 from torchrefrac.files.metadata.xmp import Xmp
 from torchrefrac.files.plausible import implausible
 
-CALIBRATED_SIGMA, EXIF_SIGMA, GUESSED_SIGMA = 0.01, 0.05, 0.3
-"""Of a focal length, relative: calibrated at the factory, by EXIF (rounded, and of another distance), guessed."""
+CALIBRATED_SIGMA, EXIF_SIGMA, FILM_SIGMA, GUESSED_SIGMA = 0.01, 0.05, 0.1, 0.3
+"""Of a focal length, relative: calibrated at the factory, by EXIF (rounded, and of another distance), of a film by its
+subtitles, guessed."""
 CENTER_SIGMA, CALIBRATED_CENTER_SIGMA = 0.01, 0.002
 """Of a principal point, in units of the longer side: assumed in the middle, calibrated."""
 DISTORTION_SIGMA, CALIBRATED_DISTORTION_SIGMA = 0.05, 0.01
@@ -21,6 +22,7 @@ GUESS = 1.2  # focal length in units of the longer side: 45 degrees of view
 OFF_CENTER = 0.05  # of the size, by which a principal point may be off the middle
 FOCAL_RANGE = 0.2, 30.0  # of focal lengths in units of the longer side that are believed
 MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # FocalPlaneResolutionUnit
+LEAST_EQUIVALENT = 15.0  # mm; what is shorter is not an equivalent, but the lens's own
 FILM_DIAGONAL = math.hypot(36.0, 24.0)
 WIDER_THAN_A_SENSOR = 1.6  # sides of a photograph that is cropped, above and below, from a sensor of 4:3
 DIAGONAL_OF_A_SENSOR = 1.25  # in units of its width
@@ -68,6 +70,13 @@ def lens_of(exif: Exif, xmp: Xmp, width: int, height: int) -> Lens:
         if found is not None and _is_believed(found, width, height):
             return found
     return centered(GUESS * max(width, height), width, height, GUESSED_SIGMA, "guessed")
+
+
+def believed_equivalent(equivalent: float, width: int, height: int, source: str) -> Lens | None:
+    """From the 35 mm equivalent of a film in mm; None where it cannot be one. Films are often cut from the middle of a
+    sensor, by a share that nobody states."""
+    lens = _by_equivalent(equivalent, width, height, FILM_SIGMA, source)
+    return lens if equivalent >= LEAST_EQUIVALENT and _is_believed(lens, width, height) else None
 
 
 def centered(focal: float, width: int, height: int, sigma: float, source: str) -> Lens:
@@ -147,9 +156,15 @@ def _by_exif(exif: Exif, width: int, height: int) -> Lens | None:
     equivalent = exif.number("EXIF FocalLengthIn35mmFilm")
     if not equivalent:
         return None
+    return _by_equivalent(equivalent, width, height, EXIF_SIGMA, "EXIF 35 mm equivalent")
+
+
+def _by_equivalent(equivalent: float, width: int, height: int, sigma: float, source: str) -> Lens:
+    """Of the diagonal; for 16:9 of that of the whole sensor."""
+    wide = max(width, height)
     cropped = wide >= WIDER_THAN_A_SENSOR * min(width, height)
     diagonal = DIAGONAL_OF_A_SENSOR * wide if cropped else math.hypot(width, height)
-    return centered(equivalent / FILM_DIAGONAL * diagonal, width, height, EXIF_SIGMA, "EXIF 35 mm equivalent")
+    return centered(equivalent / FILM_DIAGONAL * diagonal, width, height, sigma, source)
 
 
 def _sensor_width(exif: Exif, wide: int) -> tuple[float | None, str]:

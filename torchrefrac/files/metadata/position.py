@@ -64,15 +64,18 @@ def _place_of_exif(exif: Exif) -> tuple[float, float] | None:
     """Latitude and longitude."""
     if exif.text("GPS GPSStatus") == "V":  # the measurement is void
         return None
-    return _place(_degrees(exif, "GPS GPSLatitude", "S"), _degrees(exif, "GPS GPSLongitude", "W"))
+    return believed_place(_degrees(exif, "GPS GPSLatitude", "S"), _degrees(exif, "GPS GPSLongitude", "W"))
 
 
 def _place_of_xmp(xmp: Xmp, maker: str) -> tuple[float, float] | None:
     latitude = xmp.number(f"{maker}:GpsLatitude", f"{maker}:Latitude")
-    return _place(latitude, xmp.number(*(f"{maker}:{name}" for name in ("GpsLongitude", "GpsLongtitude", "Longitude"))))
+    return believed_place(
+        latitude, xmp.number(*(f"{maker}:{name}" for name in ("GpsLongitude", "GpsLongtitude", "Longitude")))
+    )
 
 
-def _place(latitude: float | None, longitude: float | None) -> tuple[float, float] | None:
+def believed_place(latitude: float | None, longitude: float | None) -> tuple[float, float] | None:
+    """Latitude and longitude in degrees; None where one is missing or cannot be, and of 0, 0, which is no fix."""
     if latitude is None or longitude is None or not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
         return None
     return (latitude, longitude) if max(abs(latitude), abs(longitude)) > NO_PLACE else None
@@ -80,17 +83,19 @@ def _place(latitude: float | None, longitude: float | None) -> tuple[float, floa
 
 def _altitude_of_exif(exif: Exif) -> dict[Vertical, float]:
     altitude, below = exif.number("GPS GPSAltitude"), exif.number("GPS GPSAltitudeRef") in (1.0, 3.0)
-    return _believed({Vertical.SEA_LEVEL: -altitude if altitude and below else altitude})
+    return believed_altitudes({Vertical.SEA_LEVEL: -altitude if altitude and below else altitude})
 
 
 def _altitudes_of_xmp(xmp: Xmp, maker: str, is_precise: bool) -> dict[Vertical, float]:
     """With RTK, and from Skydio, altitudes are above the ellipsoid; without, of whatever kind, near sea level."""
     absolute, relative = (xmp.number(f"{maker}:{name}Altitude") for name in ("Absolute", "Relative"))
     ellipsoid = is_precise or maker == "drone-skydio" or xmp.text(f"{maker}:AltitudeType") == "RtkAlt"
-    return _believed({Vertical.ELLIPSOID if ellipsoid else Vertical.SEA_LEVEL: absolute, Vertical.TAKE_OFF: relative})
+    return believed_altitudes(
+        {Vertical.ELLIPSOID if ellipsoid else Vertical.SEA_LEVEL: absolute, Vertical.TAKE_OFF: relative}
+    )
 
 
-def _believed(altitudes: Mapping[Vertical, float | None]) -> dict[Vertical, float]:
+def believed_altitudes(altitudes: Mapping[Vertical, float | None]) -> dict[Vertical, float]:
     """Those that are there, of places where cameras are."""
     return {level: altitude for level, altitude in altitudes.items() if altitude is not None and abs(altitude) < SPACE}
 
