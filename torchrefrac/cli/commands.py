@@ -29,7 +29,7 @@ from torchrefrac.files.swap import home
 from torchrefrac.files.truth import load_truth
 from torchrefrac.html import write_report
 from torchrefrac.record.recorders import RunRecorders, run_recorders
-from torchrefrac.record.summary import adjustment_lines, dense_lines, reconstruction_lines, summary
+from torchrefrac.record.summary import adjustment_lines, dense_lines, reconstruction_lines, summary, survey_lines
 from torchrefrac.recorder import SilentRecorder
 from torchrefrac.scene import Capture
 from torchrefrac.sweeps.jobs import by_name
@@ -140,7 +140,7 @@ def _densify(sparse: SparseRun, options: DensifyOptions, config: DictConfig) -> 
     with _recorders(sparse.folder, options.quiet, append=True) as recorder:
         metrics = densify_run(sparse, options, recorder)
     if not options.quiet:
-        print(summary(dense_lines(metrics)))
+        print(summary(dense_lines(metrics) + survey_lines(metrics)))
 
 
 def _report(folder: Path, wanted: bool) -> None:

@@ -8,11 +8,12 @@ from typing import Any
 from torchrefrac.config import DenseOutputs
 from torchrefrac.dense import Dense, DenseOptions, depth_maps
 from torchrefrac.figures.dense import dense_view, draw_dense_views, draw_depth_map, draw_error_map, error_panel
+from torchrefrac.figures.profiles import draw_profiles
 from torchrefrac.figures.raster import draw_raster
 from torchrefrac.files.dense import write_dense, write_depth_map
 from torchrefrac.files.mesh import height_field_mesh, write_mesh
 from torchrefrac.files.raster import write_raster
-from torchrefrac.files.run import DENSE_CLOUD, DENSE_RESULTS, DENSE_VIEW, DEPTH_MAPS, ERROR_MAP
+from torchrefrac.files.run import DENSE_CLOUD, DENSE_RESULTS, DENSE_VIEW, DEPTH_MAPS, ERROR_MAP, PROFILES
 from torchrefrac.files.swap import remove_if_empty
 from torchrefrac.geometry import Similarity
 from torchrefrac.recorder import Recorder
@@ -41,6 +42,7 @@ def draw_dense_outputs(
     """The surface from above (where there is a raster), from aside and, where it is known, against the truth."""
     if raster is not None:
         draw_raster(raster, folder / "dsm.png")
+        draw_profiles(raster, folder / PROFILES)
     model = metrics.get("model") or ("refractive" if scene.index_ratio > 1.0 else "none")
     known = truth if alignment is not None else None
     draw_dense_views([dense_view(model, cloud, scene, alignment, metrics)], known, folder / DENSE_VIEW)

@@ -24,6 +24,11 @@ DENSE_PICTURES = (
      "Pale everywhere is good. A colour that changes slowly over the scene is a bend; speckle is noise of matching."),
     ("dsm.png", "Depth of the surface", "The dense points as a map seen from above, shaded as if lit from one side.",
      "Steps and ripples that the scene does not have come from the reconstruction."),
+    ("profiles.png", "Sections across the surface",
+     "Height over distance along three lines across the direction in which the surface is longest, with the level of "
+     "the water and two standard deviations on either side.",
+     "The shore should lie where the line of the water meets the surface; a bend that the bed does not have comes from "
+     "a wrong index ratio or camera."),
 )  # fmt: skip
 DENSE_WIDTH = 1400
 PANELS_INCHES = 9.2  # of up to three panels of Figure 1

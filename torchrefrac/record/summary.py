@@ -6,6 +6,7 @@ from typing import Any
 from torchrefrac.evaluate.dense_metrics import FOUND, TYPICAL
 from torchrefrac.record.terminal import wrapped
 
+ORDERS = ("exclusive", "special", "1", "2")  # of S-44, as metrics name them
 LEFT_OUT = {
     "lost_images": "images left out, as too few of their points fit",
     "lost_marks": "ground control points left out, as they do not fit or are not seen",
@@ -75,7 +76,21 @@ def reconstruction_lines(metrics: Mapping[str, Any]) -> list[str]:
         lines.append(f"index ratio {metrics['index_ratio']:.4f} +- {metrics['index_ratio_sigma']:.2g}")
     lines += [f"not refined: {sentence}" for sentence in metrics.get("held", {}).values()]
     lines += _against_truth(metrics) + (dense_lines(metrics) if "dense_points" in metrics else [])
-    return lines + warning_lines(metrics)
+    return lines + survey_lines(metrics) + warning_lines(metrics)
+
+
+def survey_lines(metrics: Mapping[str, Any]) -> list[str]:
+    """Of the bed on the map, from the metrics of a run; none where it was not put there."""
+    key = next((key for key in metrics if key.startswith("bed_sigma_median_")), None)
+    if key is None:
+        return []
+    unit = key.removeprefix("bed_sigma_median_")
+    line = (
+        f"bed: {metrics[f'bed_area_{unit}2']:.4g} {unit}^2, depth {metrics[f'depth_median_{unit}']:.3g} {unit} "
+        f"(median), standard deviation of heights {metrics[key]:.2g} {unit} (median)"
+    )
+    orders = [f"{name} {metrics[f's44_{name}_percent']:g} %" for name in ORDERS if f"s44_{name}_percent" in metrics]
+    return [line + (f"; S-44: {', '.join(orders)}" if orders else "")]
 
 
 def warning_lines(metrics: Mapping[str, Any]) -> list[str]:

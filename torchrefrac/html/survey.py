@@ -1,0 +1,90 @@
+"""What a report says of a survey: where it stands, how deep, how large and how exact."""
+
+from collections.abc import Sequence
+
+from torchrefrac.evaluate.survey_orders import NORMAL_95, ORDERS
+from torchrefrac.html.contents import RunContents
+from torchrefrac.html.tables import Cell, Table
+from torchrefrac.html.words import rounded, with_sigma
+
+ORDER_NAMES = {"1": "1a and 1b"}
+
+
+def survey_facts(run: RunContents) -> list[tuple[str, str]]:
+    """What is known, and its value in words; empty where nothing of it is."""
+    record, unit = run.record, run.unit
+    number = record.number
+    place = run.scene.georeference if run.scene is not None else None
+    found: list[tuple[str, str]] = []
+    if place is not None:
+        found.append(("reference system", place.crs))
+        found.append(("heights count from", place.vertical or "what the reference system says"))
+    level = number(f"water_level_{unit}")
+    if level is not None:
+        found.append(("level of the water", f"{with_sigma(level, number(f'water_level_sigma_{unit}'))} {unit}"))
+    area, gsd = number(f"bed_area_{unit}2"), number(f"gsd_{unit}")
+    if area is not None:
+        found.append(("area of the bed", f"{rounded(area, 3)} {unit}²"))
+    if gsd is not None:
+        found.append(("a pixel on the bed", f"{rounded(gsd)} {unit} (median)"))
+    middle, deepest = number(f"depth_median_{unit}"), number(f"depth_99_percent_{unit}")
+    if middle is not None and deepest is not None:
+        found.append(("depth", f"{rounded(middle, 3)} {unit} in the median, 99 % at most {rounded(deepest, 3)} {unit}"))
+    sigma = number(f"bed_sigma_median_{unit}")
+    if sigma is not None:
+        words = f"{rounded(sigma)} {unit}, or {rounded(NORMAL_95 * sigma)} {unit} at 95 % (median)"
+        found.append(("vertical uncertainty of the bed", words))
+    return found
+
+
+def order_table(run: RunContents) -> Table | None:
+    """The share of the bed that each order of S-44 allows; None where it is not known."""
+    shares = [(order, run.record.number(f"s44_{order.name}_percent")) for order in ORDERS]
+    known = [(order, share) for order, share in shares if share is not None]
+    if not known:
+        return None
+    rows = [
+        [
+            Cell(ORDER_NAMES.get(order.name, order.name)),
+            Cell(f"{order.a:g} m"),
+            Cell(f"{order.b:g}"),
+            Cell(f"{share:g} %"),
+        ]
+        for order, share in known
+    ]
+    return Table(["order of S-44", "a", "b", "of the bed's cells"], rows)
+
+
+def methods(run: RunContents) -> str:
+    """A paragraph for the methods section of a report or paper; empty where the run has no dense surface."""
+    record, scene = run.record, run.scene
+    points, images = record.number("dense_points"), record.number("registered_images")
+    if points is None or images is None or scene is None or record.model != "refractive":
+        return ""
+    words = [
+        f"{images:.0f} photographs were reconstructed with refraction at the water surface modelled in every step "
+        f"(torchrefrac; index of refraction {scene.index_ratio:.4g} relative to air): relative and absolute poses with "
+        f"known vertical, bundle adjustment of all poses and points{_refined(scene.cameras.names)}, and dense matching "
+        f"of surface patches along refracted rays ({points:.0f} points)."
+    ]
+    level, unit = record.number(f"water_level_{run.unit}"), run.unit
+    if level is not None:
+        sigma = record.number(f"water_level_sigma_{unit}")
+        words.append(f"The level of the water was estimated as {with_sigma(level, sigma)} {unit}.")
+    rms = [record.number(f"position_rms_{name}{unit}") for name in ("", "vertical_")]
+    if rms[0] is not None and rms[1] is not None:
+        words.append(
+            f"Cameras agree with their measured positions to {rounded(rms[0])} {unit} horizontally and "
+            f"{rounded(rms[1])} {unit} vertically (RMS)."
+        )
+    sigma = record.number(f"bed_sigma_median_{unit}")
+    if sigma is not None:
+        words.append(
+            f"Standard deviations of the bed's heights, with what cameras and the water's level add, are "
+            f"{rounded(sigma)} {unit} in the median."
+        )
+    return " ".join(words)
+
+
+def _refined(names: Sequence[str]) -> str:
+    return f" of {len(names)} cameras" if len(names) > 1 else ""
