@@ -37,7 +37,7 @@ from torchrefrac.geometry import Similarity
 from torchrefrac.numerics import segment_sum
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Interfaces, Scene, Survey, Truth
-from torchrefrac.sfm import Outcome, ReadjustOptions, readjust, with_found_level
+from torchrefrac.sfm import Outcome, Placed, ReadjustOptions, placed_in_survey, readjust, with_found_level
 from torchrefrac.sfm.frame import transformed
 
 TRACKS = "tracks.npz"
@@ -50,12 +50,14 @@ def adjust(
     options: ReadjustOptions | None = None,
     recorder: Recorder | None = None,
 ) -> Scene:
-    """The scene adjusted with refraction at its interfaces and the measurements of a survey; only what fits stays.
+    """The scene adjusted with refraction at its interfaces and the measurements of a survey, in whose frame it is
+    brought before if it stands elsewhere; only what fits stays.
 
-    Raises what `sfm.readjust` raises.
+    Raises what `sfm.placed_in_survey` and `sfm.readjust` raise.
     """
     survey = survey or Survey.empty(scene.views.names)
-    return _finished(*readjust(scene, survey, options, recorder), survey)
+    placed = placed_in_survey(scene, survey, recorder).scene
+    return _finished(*readjust(placed, survey, options, recorder), survey)
 
 
 def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict[str, Any]:
@@ -79,7 +81,9 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
         truth = _truth(options, given)
         names = scene.views.names
         survey = read_survey(options.survey, names) if options.survey else Survey.empty(names)
-        scene = _with_water(scene, options, given)
+        read = _with_water(scene, options, given)
+        placed = placed_in_survey(read, survey, recorder, not _states_water(options, given))
+        scene = placed.scene
         how: ReadjustOptions = options
         if options.plane.offset == "find":
             how = _with_varying_height(options)
@@ -87,7 +91,7 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
         everything, outcome = readjust(scene, survey, how, recorder)
         with recorder.meter(2, "evaluating", "") as advance:
             adjusted = _finished(everything, outcome, survey)
-            files.metrics |= _summary(scene, adjusted, outcome) | _lost(everything, survey)
+            files.metrics |= _summary(scene, adjusted, outcome) | _lost(everything, survey) | _placing(placed, read)
             if truth is not None and len(adjusted.interfaces) == 1:
                 files.metrics |= evaluate(_above_level_water(adjusted), truth)[0]
             advance(1, "")
@@ -133,6 +137,14 @@ def _truth(options: AdjustOptions, run: RunRecord | None) -> Truth | None:
     if truth is None:
         raise OptionError(f"truth is {options.truth}, but must be a folder that holds a truth.json")
     return truth
+
+
+def _states_water(options: AdjustOptions, run: RunRecord | None) -> bool:
+    """Whether the water is stated in the frame of the alignment: by options, or because it is that of a run. Else it is
+    z = 0, or lies level, where the survey has the alignment."""
+    is_run = run is not None or (Path(options.alignment) / CAMERAS).is_file()
+    level = options.plane.normal == PlaneOptions().normal and options.plane.offset in (PlaneOptions().offset, "find")
+    return is_run or options.water.path is not None or not level
 
 
 def _with_water(scene: Scene, options: AdjustOptions, run: RunRecord | None) -> Scene:
@@ -211,6 +223,17 @@ def _summary(given: Scene, adjusted: Scene, outcome: Outcome) -> dict[str, Any]:
     if known.point_sigma is not None:
         metrics[f"point_sigma_median_{unit}"] = float(known.point_sigma.median())
     return metrics
+
+
+def _placing(placed: Placed, given: Scene) -> dict[str, Any]:
+    """How the given alignment was brought into the frame of the survey, if it was."""
+    if placed.change is None:
+        return {}
+    return {
+        "survey_scale": float(placed.change.scale),
+        "survey_turn_deg": placed.turn_deg,
+        f"survey_shift_{given.length_unit}": placed.shift(given),
+    }
 
 
 def _lost(scene: Scene, survey: Survey) -> dict[str, Any]:

@@ -50,6 +50,13 @@ def transformed(scene: Scene, change: Similarity) -> Scene:
     return replace(scene, views=views.at(rotation, center, which), points=change.apply(scene.points))
 
 
+def moved(scene: Scene, change: Similarity) -> Scene:
+    """Registered views, points and interfaces in another frame."""
+    normal = scene.interfaces.normal @ change.rotation.mT
+    offset = change.scale * scene.interfaces.offset + normal @ change.translation
+    return replace(transformed(scene, change), interfaces=replace(scene.interfaces, normal=normal, offset=offset))
+
+
 def with_water_at_zero(scene: Scene) -> tuple[Scene, float]:
     """The scene, whose level surfaces stand at any height, with the first at z = 0; and by how much it came down."""
     offset = scene.interfaces.offset[0]
@@ -68,6 +75,12 @@ def mean_level(scene: Scene, capture: Capture) -> Float[Tensor, "3 3"]:
     registered = known if len(known) else registered
     rotation = scene.views.rotation[registered]
     down = (rotation.mT @ capture.down_in_cam[registered][..., None])[..., 0].mean(dim=0)
+    return levelling(down / down.norm())
+
+
+def levelling(down: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+    """Rotation of the world that takes the unit vector `down` to (0, 0, -1): the shortest, after half a turn about x
+    where the world stands on its head."""
     flip = down.new_tensor((1.0, -1.0, -1.0))
     turn = torch.where(down[2] > 0.0, flip, flip.abs())
-    return level_rotation(flip * turn * down / down.norm()).mT * (flip * turn)
+    return level_rotation(flip * turn * down).mT * (flip * turn)

@@ -10,6 +10,7 @@ from torchrefrac.geometry import align_similarity
 from torchrefrac.scene import Scene, Survey
 from torchrefrac.sfm.gravity import unlikely
 from torchrefrac.sfm.rules import Rules
+from torchrefrac.sfm.stated_places import StatedPlaces
 from torchrefrac.sfm.triangulate import triangulate
 
 FEWEST = 4
@@ -61,17 +62,13 @@ def without_contradicted(scene: Scene, survey: Survey) -> Survey:
     are aligned with those stated by a similarity. The one without which the others agree best is left out where it is
     too far off their alignment, and so on with these as long as most stay.
     """
-    ids = len(scene.points) - len(survey.control_names) + survey.known_control
-    found = torch.cat((scene.views.center[survey.center_image], scene.points[ids]))
-    stated = torch.cat((survey.center, survey.known_position))
-    information = torch.cat((survey.center_information, survey.known_information))
-    known = torch.cat((scene.views.registered[survey.center_image], scene.placed[ids]))
+    places = StatedPlaces.of(scene, survey)
+    found, stated, known = places.found, places.stated, places.known
     accepted, least = known.clone(), max(FEWEST, (int(known.sum()) + 2) // 2)
 
     def off(accepted: Bool[Tensor, " k"]) -> Float[Tensor, " k"]:
         """Deviations from the alignment of those that are accepted."""
-        aligned = align_similarity(found[accepted], stated[accepted]).apply(found)
-        return _disagreement(aligned - stated, information).deviations
+        return places.deviations(align_similarity(found[accepted], stated[accepted]))
 
     while int(accepted.sum()) > least:
         worst = torch.where(accepted, off(accepted), 0.0).topk(CANDIDATES).indices.tolist()
@@ -84,8 +81,8 @@ def without_contradicted(scene: Scene, survey: Survey) -> Survey:
         if float(others[candidate]) <= max(unlikely(int(fewer.sum()), 3), usual):
             break
         accepted = fewer
-    out, cameras = known & ~accepted, len(survey.center)
-    return survey.without(out[:cameras], out[cameras:]) if bool(out.any()) else survey
+    out = known & ~accepted
+    return survey.without(out[: places.cameras], out[places.cameras :]) if bool(out.any()) else survey
 
 
 def _disagreement(error: Float[Tensor, "k 3"], information: Float[Tensor, "k 3 3"]) -> Disagreement:
