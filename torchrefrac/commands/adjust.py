@@ -21,7 +21,7 @@ from torchrefrac.commands.results import (
     run_record,
 )
 from torchrefrac.commands.run_folder import RunFolder
-from torchrefrac.config import FRESH_WATER, AdjustOptions, OptionError, PlaneOptions
+from torchrefrac.config import FRESH_WATER, LEVEL, AdjustOptions, OptionError, PlaneOptions
 from torchrefrac.evaluate.metrics import evaluate
 from torchrefrac.evaluate.survey_consistency import survey_contradictions
 from torchrefrac.files.cameras import CAMERAS, write_cameras, write_points
@@ -37,7 +37,16 @@ from torchrefrac.geometry import Similarity
 from torchrefrac.numerics import segment_sum
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Interfaces, Scene, Survey, Truth
-from torchrefrac.sfm import Outcome, Placed, ReadjustOptions, placed_in_survey, readjust, with_found_level
+from torchrefrac.sfm import (
+    Outcome,
+    Placed,
+    ReadjustOptions,
+    placed_in_survey,
+    readjust,
+    upright,
+    with_found_level,
+    with_found_normal,
+)
 from torchrefrac.sfm.frame import transformed
 
 TRACKS = "tracks.npz"
@@ -83,11 +92,9 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
         survey = read_survey(options.survey, names) if options.survey else Survey.empty(names)
         read = _with_water(scene, options, given)
         placed = placed_in_survey(read, survey, recorder, not _states_water(options, given))
+        how = _with_varying_plane(options)
+        placed = _with_found_plane(placed, survey, how, recorder)
         scene = placed.scene
-        how: ReadjustOptions = options
-        if options.plane.offset == "find":
-            how = _with_varying_height(options)
-            scene = with_found_level(scene, survey, how, recorder)
         everything, outcome = readjust(scene, survey, how, recorder)
         with recorder.meter(2, "evaluating", "") as advance:
             adjusted = _finished(everything, outcome, survey)
@@ -143,8 +150,8 @@ def _states_water(options: AdjustOptions, run: RunRecord | None) -> bool:
     """Whether the water is stated in the frame of the alignment: by options, or because it is that of a run. Else it is
     z = 0, or lies level, where the survey has the alignment."""
     is_run = run is not None or (Path(options.alignment) / CAMERAS).is_file()
-    level = options.plane.normal == PlaneOptions().normal and options.plane.offset in (PlaneOptions().offset, "find")
-    return is_run or options.water.path is not None or not level
+    is_said = is_run or options.water.path is not None or not options.plane.is_level
+    return is_said and options.plane.normal != "find"
 
 
 def _with_water(scene: Scene, options: AdjustOptions, run: RunRecord | None) -> Scene:
@@ -159,7 +166,7 @@ def _with_water(scene: Scene, options: AdjustOptions, run: RunRecord | None) -> 
         if options.index_ratio is not None:
             interfaces = replace(interfaces, index_ratio=torch.full_like(interfaces.index_ratio, options.index_ratio))
         return replace(scene, interfaces=interfaces, views=replace(scene.views, interface=rows))
-    normal = torch.tensor(options.plane.normal, dtype=torch.float64)
+    normal = torch.tensor(LEVEL if options.plane.normal == "find" else options.plane.normal, dtype=torch.float64)
     given = 0.0 if options.plane.offset == "find" else options.plane.offset
     offset = torch.tensor([given], dtype=torch.float64)
     ratio = _index_ratio(scene, options, run)
@@ -178,9 +185,28 @@ def _index_ratio(scene: Scene, options: AdjustOptions, run: RunRecord | None) ->
     return FRESH_WATER if capture is None or not capture.is_dir() else load_capture(capture).index_ratio
 
 
-def _with_varying_height(options: AdjustOptions) -> AdjustOptions:
-    refine = dict.fromkeys((*options.bundle.refine, "plane_height"))
+def _with_varying_plane(options: AdjustOptions) -> AdjustOptions:
+    """What is searched for of the plane varies afterwards."""
+    refine = dict.fromkeys((*options.bundle.refine, *options.plane.refined))
     return replace(options, bundle=replace(options.bundle, refine=tuple(refine)))
+
+
+def _with_found_plane(placed: Placed, survey: Survey, options: AdjustOptions, recorder: Recorder) -> Placed:
+    """With what is to be found of the plane: level where the survey says what is, else as the images show it."""
+    plane = options.plane
+    if plane.normal == "find":
+        found = upright(placed, survey)
+        if found is None and plane.offset != "find":
+            raise OptionError(
+                f"plane.normal is find, but plane.offset is {plane.offset}: without gravity or positions in a survey "
+                "the height of the water along a normal that nobody knows must be found, too; set plane.offset=find"
+            )
+        if found is None:
+            return replace(placed, scene=with_found_normal(placed.scene, survey, options, recorder)[0])
+        placed = found
+    if plane.offset == "find":
+        return replace(placed, scene=with_found_level(placed.scene, survey, options, recorder))
+    return placed
 
 
 def _finished(scene: Scene, outcome: Outcome, survey: Survey) -> Scene:

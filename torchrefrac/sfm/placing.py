@@ -53,24 +53,27 @@ def placed_in_survey(
     points and cameras are in different frames, or the scene is elsewhere and the positions do not say where it should
     be.
     """
-    off = _places(scene, survey).deviations()
-    usual = unlikely(len(off), 3)
-    if not len(off) or float(off.max()) <= usual:
+    as_it_stands = _places(scene, survey)
+    usual = unlikely(len(as_it_stands), 3)
+    if len(as_it_stands) and float(as_it_stands.deviations().max()) <= usual:
         return Placed(scene)
     down = mean_down(scene, survey)
     level, air = None if down is None else levelling(down), torch.ones_like(scene.interfaces.index_ratio)
     dry = replace(scene, interfaces=replace(scene.interfaces, index_ratio=air))
     places = _places(dry if water_is_in_place else scene, survey)
+    if not len(places):
+        return Placed(scene)
     if mistake := places.mistake(level):
         raise SurveyError(mistake)
-    change = places.best(level, usual)
-    if float(off.median()) <= usual:
+    off = float(as_it_stands.deviations().median()) if len(as_it_stands) == len(places) else torch.inf
+    if off <= usual:
         return Placed(scene)
+    change = places.best(level, usual)
     if change is None:
         _require_near(scene, places, level is not None)
         return Placed(scene)
     placed = Placed((transformed if water_is_in_place else moved)(scene, change), change)
-    if float(off.median()) <= CLOSER * float(_places(placed.scene, survey).deviations().median()):
+    if off <= CLOSER * float(_places(placed.scene, survey).deviations().median()):
         return Placed(scene)
     axes = placed.scene.views.rotation[placed.scene.views.registered][:, 2]
     if float(axes.mean(dim=0)[2]) > 0.0:
@@ -85,14 +88,17 @@ def placed_in_survey(
     return placed
 
 
-def levelled(scene: Scene, survey: Survey) -> Placed:
-    """The scene turned so that the gravity of the survey points down, as far as it says."""
+def upright(placed: Placed, survey: Survey) -> Placed | None:
+    """The scene with z up, its interfaces as they are: where it stands if positions of the survey say so, or turned by
+    the gravity of the survey; None where neither says it."""
+    scene, places = placed.scene, _places(placed.scene, survey)
     down = mean_down(scene, survey)
+    if placed.change is not None or places.similarity() is not None:
+        return placed
     if down is None:
-        return Placed(scene)
-    one = torch.ones_like(down[0])
-    change = Similarity(one, levelling(down), torch.zeros_like(down))
-    return Placed(moved(scene, change), change)
+        return None
+    change = Similarity(torch.ones_like(down[0]), levelling(down), torch.zeros_like(down))
+    return Placed(transformed(scene, change), change)
 
 
 def mean_down(scene: Scene, survey: Survey) -> Float[Tensor, "3"] | None:
