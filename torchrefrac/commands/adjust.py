@@ -24,6 +24,7 @@ from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.config import FRESH_WATER, LEVEL, AdjustOptions, OptionError, PlaneOptions
 from torchrefrac.evaluate.metrics import evaluate
 from torchrefrac.evaluate.survey_consistency import survey_contradictions
+from torchrefrac.evaluate.survey_metrics import survey_metrics
 from torchrefrac.files.cameras import CAMERAS, write_cameras, write_points
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.colmap.model import find_colmap, write_colmap
@@ -48,6 +49,7 @@ from torchrefrac.sfm import (
     with_found_normal,
 )
 from torchrefrac.sfm.frame import transformed
+from torchrefrac.sfm.positions import surveyed
 
 TRACKS = "tracks.npz"
 
@@ -98,7 +100,8 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
         everything, outcome = readjust(scene, survey, how, recorder)
         with recorder.meter(2, "evaluating", "") as advance:
             adjusted = _finished(everything, outcome, survey)
-            files.metrics |= _summary(scene, adjusted, outcome) | _lost(everything, survey) | _placing(placed, read)
+            files.metrics |= _summary(scene, adjusted, outcome) | _lost(everything) | _placing(placed, read)
+            files.metrics |= survey_metrics(surveyed(everything, survey, outcome.survey or survey), scene.length_unit)
             if truth is not None and len(adjusted.interfaces) == 1:
                 files.metrics |= evaluate(_above_level_water(adjusted), truth)[0]
             advance(1, "")
@@ -262,19 +265,11 @@ def _placing(placed: Placed, given: Scene) -> dict[str, Any]:
     }
 
 
-def _lost(scene: Scene, survey: Survey) -> dict[str, Any]:
-    """Where the ground control points are, and what did not fit the rest."""
-    ties = len(scene.points) - len(survey.control_names)
-    where, placed = scene.points[ties:].tolist(), scene.placed[ties:].tolist()
-    control = list(zip(survey.control_names, where, placed, strict=True))
+def _lost(scene: Scene) -> dict[str, Any]:
+    """Which images did not fit the rest."""
     views = zip(scene.views.names, scene.views.registered.tolist(), strict=True)
-    found = {
-        "marks": {name: position for name, position, placed in control if placed},
-        "lost_marks": [*(name for name, _, placed in control if not placed), *survey.skipped_controls],
-        "lost_images": [name for name, registered in views if not registered],
-        "images_only_in_survey": list(survey.skipped),
-    }
-    return {name: value for name, value in found.items() if value}
+    lost = [name for name, registered in views if not registered]
+    return {"lost_images": lost} if lost else {}
 
 
 def _write(scene: Scene, folder: Path, binary: bool) -> None:

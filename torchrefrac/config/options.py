@@ -96,7 +96,10 @@ class DenseOutputs:
 
 @dataclass(frozen=True)
 class Options:
-    """Everything that decides how a capture is reconstructed, and what is written of its dense surface."""
+    """Everything that decides how a capture is reconstructed, and what is written of its dense surface.
+
+    survey: path of a survey.json; None: the one beside the capture.json, if there is one.
+    """
 
     model: ModelOptions = field(default_factory=ModelOptions)
     water: WaterOptions = field(default_factory=WaterOptions)
@@ -105,6 +108,7 @@ class Options:
     sfm: SfmOptions = field(default_factory=SfmOptions)
     dense: DenseOptions = field(default_factory=DenseOptions)
     outputs: DenseOutputs = field(default_factory=DenseOutputs)
+    survey: str | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -5,10 +5,9 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from torchrefrac.evaluate.consistency import about_given, about_images, listed, named
-from torchrefrac.scene import Capture, Finding, Scene, Survey, WarningCode
+from torchrefrac.scene import Finding, Scene, Survey, Surveyed, WarningCode
 from torchrefrac.sfm.gravity import contradicted_gravity, with_common_tilt
-from torchrefrac.sfm.positions import Disagreement, of_centers, of_control
-from torchrefrac.sfm.stated_positions import Positions
+from torchrefrac.sfm.positions import Disagreement, of_centers, surveyed
 from torchrefrac.sfm.vertical import angle_between
 
 
@@ -16,17 +15,13 @@ def survey_contradictions(scene: Scene, survey: Survey, used: Survey) -> tuple[F
     """All of them, those first that others may follow from. `scene`: what came out, with all its views and its
     assessment, the ground control points of the `survey` being its last points; used: what of the survey it was
     adjusted with."""
-    stated = *_gravity(scene, survey), *_positions(scene, survey, used), *_control(scene, survey, used)
+    stated = *_gravity(scene, survey), *position_contradictions(scene, surveyed(scene, survey, used))
     return (*about_given(scene), *stated, *about_images(scene))
 
 
-def position_contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
-    """What a reconstruction says against the positions that its capture states, in whose frame it must be."""
-    if scene.assessment.lowered_by is None:
-        return ()
-    positions = Positions.of(stated).lowered(scene.assessment.lowered_by)
-    survey = positions.survey(scene.views.names)
-    return tuple(_positions(scene, survey, positions.of_most(scene).survey(scene.views.names)))
+def position_contradictions(scene: Scene, known: Surveyed | None) -> tuple[Finding, ...]:
+    """What a scene says against the positions of the survey that it was adjusted with, if it was with one."""
+    return () if known is None else (*_positions(scene, known), *_control(scene, known))
 
 
 def _gravity(scene: Scene, survey: Survey) -> list[Finding]:
@@ -44,18 +39,18 @@ def _gravity(scene: Scene, survey: Survey) -> list[Finding]:
     return [Finding(WarningCode.GRAVITY_CONTRADICTS, message, names)]
 
 
-def _positions(scene: Scene, survey: Survey, used: Survey) -> list[Finding]:
-    off = of_centers(scene, survey)
-    names = tuple(scene.views.names[i] for i in survey.center_image.tolist())
-    left_out = ~torch.isin(survey.center_image, used.center_image)
+def _positions(scene: Scene, known: Surveyed) -> list[Finding]:
+    off, image = of_centers(scene, known.stated), known.stated.center_image
+    names = tuple(scene.views.names[i] for i in image.tolist())
+    left_out = ~torch.isin(image, known.used.center_image)
     message = _message(off, names, left_out, "center", scene.length_unit)
     return [Finding(WarningCode.POSITION_CONTRADICTS, message, named(names, off.contradicted))] if message else []
 
 
-def _control(scene: Scene, survey: Survey, used: Survey) -> list[Finding]:
-    off = of_control(scene, survey)
-    names = tuple(survey.control_names[i] for i in survey.known_control.tolist())
-    left_out = off.deviations.isinf() | ~torch.isin(survey.known_control, used.known_control)
+def _control(scene: Scene, known: Surveyed) -> list[Finding]:
+    off, control = Disagreement(known.distance, known.deviations), known.stated.known_control
+    names = tuple(known.stated.control_names[i] for i in control.tolist())
+    left_out = off.deviations.isinf() | ~torch.isin(control, known.used.known_control)
     message = _message(off, names, left_out, "position or observations", scene.length_unit)
     return [Finding(WarningCode.CONTROL_CONTRADICTS, message)] if message else []
 

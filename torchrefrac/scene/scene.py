@@ -14,6 +14,7 @@ from torchrefrac.geometry import Rigid
 from torchrefrac.scene.capture import Capture
 from torchrefrac.scene.findings import Finding
 from torchrefrac.scene.interfaces import Interfaces
+from torchrefrac.scene.survey import Surveyed
 from torchrefrac.scene.tables import Cameras, Observations, Views
 
 
@@ -43,8 +44,9 @@ class Assessment:
     levels: by how much the water stands higher for some views than for the others, for which it is 0; None where one
     level does for all.
     stopped_after: iterations of the last adjustment, where it stopped before it converged.
-    lowered_by: how much lower than the positions that the capture states the scene stands, in whose frame it is
-    otherwise: by the height of the water there; None: it is in a frame of its own.
+    lowered_by: how much lower than the positions that the capture or the survey states the scene stands, in whose frame
+    it is otherwise: by the height of the water there; None: it is in a frame of its own.
+    surveyed: what became of the survey that the scene was adjusted with; None: there was none.
     water_stated: index ratio of water that was stated, but that the images do not show; None: there is none such.
     in_air_and_water: of a scene without refraction, what its typical reprojection error is and would be under water.
     """
@@ -67,6 +69,7 @@ class Assessment:
     levels: Float[Tensor, " m"] | None = None
     stopped_after: int | None = None
     lowered_by: float | None = None
+    surveyed: Surveyed | None = None
     water_stated: float | None = None
     in_air_and_water: tuple[float, float] | None = None
 

@@ -20,6 +20,7 @@ from torchrefrac.bundle import (
 from torchrefrac.bundle import adjust as adjust_bundle
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.score import Given
+from torchrefrac.bundle.terms import concerned_points
 from torchrefrac.numerics import typical_deviation
 from torchrefrac.optim import SingularError
 from torchrefrac.recorder import Advance, Recorder
@@ -153,8 +154,9 @@ def common_tilt(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Float[Tens
 
 def _problem(part: Part, rules: Rules, fixed: dict[str, str]) -> BundleProblem:
     """That of adjusting a part, without what an adjustment refused to refine."""
-    layout = Layout.create(part.scene, tuple(name for name in rules.bundle.refine if name not in fixed))
-    return BundleProblem.create(part.scene, layout, rules.bundle, rules.measurements(part))
+    refine, terms = tuple(name for name in rules.bundle.refine if name not in fixed), rules.measurements(part)
+    layout = Layout.create(part.scene, refine, reduced=concerned_points(terms, part.scene.points))
+    return BundleProblem.create(part.scene, layout, rules.bundle, terms)
 
 
 def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Assessment:

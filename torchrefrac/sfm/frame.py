@@ -11,17 +11,17 @@ from torchrefrac.scene import Capture, Scene
 from torchrefrac.sfm.heights import fit_heights
 
 
-def fix_frame(scene: Scene, capture: Capture) -> Scene:
+def fix_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Scene:
     """The scene in its final frame; see `final_frame`."""
-    return transformed(scene, final_frame(scene, capture)) if scene.views.num_registered else scene
+    return transformed(scene, final_frame(scene, capture, has_scale)) if scene.views.num_registered else scene
 
 
-def final_frame(scene: Scene, capture: Capture) -> Similarity:
+def final_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Similarity:
     """What puts the first registered view at x = y = 0 with heading 0, and scales to the measured heights.
 
     Through water the scale is that of the measured camera heights which agree, see `fit_heights` (or makes the first
-    height 1); plane and vertical stay. Without refraction neither can be seen: the frame is levelled by the mean of the
-    gravity vectors, the first camera put at its height (or 1), and the scale left as it is.
+    height 1), unless the scene has one; plane and vertical stay. Without refraction neither can be seen: the frame is
+    levelled by the mean of the gravity vectors, the first camera put at its height (or 1), and the scale left as it is.
     """
     views = scene.views
     registered = views.registered.nonzero()[:, 0]
@@ -33,11 +33,11 @@ def final_frame(scene: Scene, capture: Capture) -> Similarity:
     center = views.center[registered] @ rotation.T
     measured = capture.has_height[registered]
     scale, lift = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
-    if refractive:
+    if refractive and not has_scale:
         rows = registered[measured]
         stated = capture.height[rows], capture.height_sigma[rows]
         scale = fit_heights(center[measured, 2], *stated).scale if len(rows) else 1.0 / center[0, 2]
-    else:
+    elif not refractive:
         lift = torch.where(measured[0], capture.height[first], 1.0) - center[0, 2]
     shift = torch.stack((-center[0, 0], -center[0, 1], lift))
     return Similarity(scale, rotation, scale * shift)

@@ -12,9 +12,8 @@ from torchrefrac.scene import Scene, Survey, SurveyError
 from torchrefrac.sfm.control import with_control
 from torchrefrac.sfm.frame import levelling, moved, transformed
 from torchrefrac.sfm.gravity import unlikely
-from torchrefrac.sfm.rules import Rules
+from torchrefrac.sfm.positions import with_meeting_points
 from torchrefrac.sfm.stated_places import FEWEST, FEWEST_LEVEL, StatedPlaces
-from torchrefrac.sfm.triangulate import triangulate
 from torchrefrac.sfm.vertical import mean_vertical
 
 CLOSER = 3.0
@@ -115,8 +114,7 @@ def _places(scene: Scene, survey: Survey) -> StatedPlaces:
     """Those that the scene has, its ground control points being where their rays meet."""
     everything = with_control(scene, survey)
     wanted = torch.arange(len(everything.points)) >= len(scene.points)
-    rules = replace(Rules(), max_error=torch.inf, min_angle_deg=0.0)
-    every = StatedPlaces.of(triangulate(everything, rules, wanted)[0], survey)
+    every = StatedPlaces.of(with_meeting_points(everything, wanted), survey)
     return every[every.known]
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.geometry import align_similarity
-from torchrefrac.scene import Scene, Survey
+from torchrefrac.scene import Scene, Survey, Surveyed
 from torchrefrac.sfm.gravity import unlikely
 from torchrefrac.sfm.rules import Rules
 from torchrefrac.sfm.stated_places import StatedPlaces
@@ -48,11 +48,27 @@ def of_control(scene: Scene, survey: Survey) -> Disagreement:
     ids = len(scene.points) - len(survey.control_names) + survey.known_control
     lost = ~scene.placed[ids] & (scene.sightings()[ids] >= 2)
     wanted = torch.zeros_like(scene.placed).index_fill(0, ids[lost], True)
-    met, _ = triangulate(scene, replace(Rules(), max_error=torch.inf, min_angle_deg=0.0), wanted)
+    met = with_meeting_points(scene, wanted)
     known = met.placed[ids]
     error = torch.where(known[:, None], met.points[ids] - survey.known_position, 0.0)
     found = _disagreement(error, survey.known_information)
     return replace(found, deviations=torch.where(lost & known, torch.inf, found.deviations))
+
+
+def with_meeting_points(scene: Scene, wanted: Bool[Tensor, " n"]) -> Scene:
+    """The scene with the points `wanted` where all their rays meet, however badly; those that fewer than two registered
+    views see have no place."""
+    return triangulate(scene, replace(Rules(), max_error=torch.inf, min_angle_deg=0.0), wanted)[0]
+
+
+def surveyed(scene: Scene, stated: Survey, used: Survey) -> Surveyed:
+    """What became of a survey, of which `used` took part, in the scene, whose last points are its control points."""
+    ties, control = len(scene.points) - len(stated.control_names), of_control(scene, stated)
+    met = with_meeting_points(scene, torch.arange(len(scene.points)) >= ties)
+    ids = ties + stated.known_control
+    off = torch.where(met.placed[ids, None], met.points[ids] - stated.known_position, 0.0)
+    where = scene.points[ties:], scene.placed[ties:]
+    return Surveyed(stated, used, *where, off, control.distance, control.deviations)
 
 
 def without_contradicted(scene: Scene, survey: Survey) -> Survey:
