@@ -27,7 +27,8 @@ from torchrefrac.evaluate.survey_consistency import survey_contradictions
 from torchrefrac.evaluate.survey_metrics import survey_metrics
 from torchrefrac.files.cameras import CAMERAS, write_cameras, write_points
 from torchrefrac.files.capture import load_capture
-from torchrefrac.files.colmap.model import find_colmap, write_colmap
+from torchrefrac.files.colmap.model import find_colmap, read_ids, write_colmap
+from torchrefrac.files.colmap.tables import Ids
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.run import RunRecord
 from torchrefrac.files.survey import read_survey
@@ -105,7 +106,8 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
             if truth is not None and len(adjusted.interfaces) == 1:
                 files.metrics |= evaluate(_above_level_water(adjusted), truth)[0]
             advance(1, "")
-            _write(adjusted, folder, options.format == "binary")
+            ids = read_ids(options.alignment) if read.cameras.read_as else None
+            _write(adjusted, folder, options.format == "binary", ids)
             advance(1, "")
     return files.metrics
 
@@ -272,8 +274,8 @@ def _lost(scene: Scene) -> dict[str, Any]:
     return {"lost_images": lost} if lost else {}
 
 
-def _write(scene: Scene, folder: Path, binary: bool) -> None:
-    write_colmap(scene, folder / MODEL, binary, _point_errors(scene))
+def _write(scene: Scene, folder: Path, binary: bool, ids: Ids | None) -> None:
+    write_colmap(scene, folder / MODEL, binary, _point_errors(scene), ids)
     write_water(scene, folder / WATER)
     write_points(scene.points, scene.colors, folder / "points.ply", scene.assessment, scene.dry)
     write_tracks(scene, folder / TRACKS)

@@ -75,7 +75,7 @@ def camera_prefixes(cameras: Cameras) -> list[str]:
 
 
 def against_positions(scene: Scene) -> dict[str, float]:
-    """Of a scene in the frame of the positions that its capture states.
+    """Of a scene in the frame of the positions that its capture or a survey states.
 
     With UNIT its length unit: position_rms_UNIT and position_rms_vertical_UNIT of registered cameras, horizontally and
     in height; water_level_UNIT, the height of the water among the positions; heading_off_deg, the median difference of
@@ -87,10 +87,10 @@ def against_positions(scene: Scene) -> dict[str, float]:
     views = scene.views
     known = views.registered & capture.position_sigma.isfinite().all(dim=-1)
     off = (views.center - capture.position)[known] + views.center.new_tensor((0.0, 0.0, lowered))
-    found = {
-        f"position_rms_{unit}": rms(off[:, :2].norm(dim=-1)),
-        f"position_rms_vertical_{unit}": rms(off[:, 2]),
-    }
+    found = {}
+    if len(off):
+        found[f"position_rms_{unit}"] = rms(off[:, :2].norm(dim=-1))
+        found[f"position_rms_vertical_{unit}"] = rms(off[:, 2])
     if scene.interfaces.refract():
         found[f"water_level_{unit}"] = lowered
     compass = views.registered & capture.has_heading

@@ -1,13 +1,17 @@
 """What the images say against a survey: the warnings of an adjustment."""
 
+import math
+from dataclasses import replace
+
 import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from torchrefrac.evaluate.consistency import about_given, about_images, listed, named
+from torchrefrac.evaluate.consistency import VAGUE_DEG, about_given, about_images, listed, named
 from torchrefrac.scene import Finding, Scene, Survey, Surveyed, WarningCode
 from torchrefrac.sfm.gravity import contradicted_gravity, with_common_tilt
 from torchrefrac.sfm.positions import Disagreement, of_centers, surveyed
+from torchrefrac.sfm.stated_places import StatedPlaces
 from torchrefrac.sfm.vertical import angle_between
 
 
@@ -15,13 +19,30 @@ def survey_contradictions(scene: Scene, survey: Survey, used: Survey) -> tuple[F
     """All of them, those first that others may follow from. `scene`: what came out, with all its views and its
     assessment, the ground control points of the `survey` being its last points; used: what of the survey it was
     adjusted with."""
-    stated = *_gravity(scene, survey), *position_contradictions(scene, surveyed(scene, survey, used))
+    stated = *_gravity(scene, survey), *_tilt(scene), *position_contradictions(scene, surveyed(scene, survey, used))
     return (*about_given(scene), *stated, *about_images(scene))
 
 
 def position_contradictions(scene: Scene, known: Surveyed | None) -> tuple[Finding, ...]:
     """What a scene says against the positions of the survey that it was adjusted with, if it was with one."""
-    return () if known is None else (*_positions(scene, known), *_control(scene, known))
+    if known is None:
+        return ()
+    found = (*_positions(scene, known), *_control(scene, known))
+    mistake = _mistake(scene, known) if found else ""
+    return tuple(replace(each, message=f"{each.message}; {mistake}") if mistake else each for each in found)
+
+
+def _mistake(scene: Scene, known: Surveyed) -> str:
+    """What people do that explains why positions do not fit the images; empty where nothing does."""
+    center = scene.views.center[known.stated.center_image]
+    places = StatedPlaces(
+        torch.cat((center, known.stated.known_position + known.off)),
+        torch.cat((known.stated.center, known.stated.known_position)),
+        torch.cat((known.stated.center_information, known.stated.known_information)),
+        torch.cat((scene.views.registered[known.stated.center_image], known.off.any(dim=-1))),
+        len(center),
+    )
+    return places[places.known].mistake(torch.eye(3, dtype=torch.float64))
 
 
 def _gravity(scene: Scene, survey: Survey) -> list[Finding]:
@@ -37,6 +58,18 @@ def _gravity(scene: Scene, survey: Survey) -> list[Finding]:
         "than its sigma explains: check it, its sigma, and that z points up"
     )
     return [Finding(WarningCode.GRAVITY_CONTRADICTS, message, names)]
+
+
+def _tilt(scene: Scene) -> list[Finding]:
+    """Whether a normal of the water that was looked for is known well enough."""
+    sigma = math.degrees(scene.assessment.tilt_sigma or 0.0)
+    if sigma <= VAGUE_DEG:
+        return []
+    message = (
+        f"the images show how the water lies to the cameras to {sigma:.1f} degrees only: heights and depths may be off "
+        "by some percent, slopes by as much; give down_in_cam or positions in a survey, or the normal of the plane"
+    )
+    return [Finding(WarningCode.GRAVITY_UNDETERMINED, message)]
 
 
 def _positions(scene: Scene, known: Surveyed) -> list[Finding]:

@@ -46,6 +46,7 @@ class Assessment:
     stopped_after: iterations of the last adjustment, where it stopped before it converged.
     lowered_by: how much lower than the positions that the capture or the survey states the scene stands, in whose frame
     it is otherwise: by the height of the water there; None: it is in a frame of its own.
+    tilt_sigma: of the tilt of the water to the cameras, radians, where it was refined; None: it was not.
     surveyed: what became of the survey that the scene was adjusted with; None: there was none.
     water_stated: index ratio of water that was stated, but that the images do not show; None: there is none such.
     in_air_and_water: of a scene without refraction, what its typical reprojection error is and would be under water.
@@ -70,6 +71,7 @@ class Assessment:
     stopped_after: int | None = None
     lowered_by: float | None = None
     surveyed: Surveyed | None = None
+    tilt_sigma: float | None = None
     water_stated: float | None = None
     in_air_and_water: tuple[float, float] | None = None
 

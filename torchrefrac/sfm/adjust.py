@@ -1,5 +1,6 @@
 """Bundle adjustment of what is registered and placed, and how well that determines the finished scene."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
@@ -168,6 +169,7 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
     except SingularError:
         return Assessment(fixed=fixed)
     centers = known.pose[:, 3:, 3:]
+    tilts = [each.posterior for each in found if each.name == "plane_tilt" and "plane_tilt" in problem.layout.water]
     wished = [wished_changes(problem, scene, name, known.pixel_sigma).items() for name in GIVEN]
     return Assessment(
         pixel_sigma=known.pixel_sigma,
@@ -184,4 +186,5 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         surface_moves=known.common is not None and known.common.moving_slope > known.common.still_slope,
         common_tilt=None if known.common is None else known.common.tilt(len(scene.views)),
         growth=known.growth,
+        tilt_sigma=math.radians(tilts[0]) if tilts else None,
     )
