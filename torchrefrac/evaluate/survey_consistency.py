@@ -1,7 +1,6 @@
 """What the images say against a survey: the warnings of an adjustment."""
 
 import math
-from dataclasses import replace
 
 import torch
 from jaxtyping import Bool
@@ -11,7 +10,6 @@ from torchrefrac.evaluate.consistency import VAGUE_DEG, about_given, about_image
 from torchrefrac.scene import Finding, Scene, Survey, Surveyed, WarningCode
 from torchrefrac.sfm.gravity import contradicted_gravity, with_common_tilt
 from torchrefrac.sfm.positions import Disagreement, of_centers, surveyed
-from torchrefrac.sfm.stated_places import StatedPlaces
 from torchrefrac.sfm.vertical import angle_between
 
 
@@ -27,22 +25,13 @@ def position_contradictions(scene: Scene, known: Surveyed | None) -> tuple[Findi
     """What a scene says against the positions of the survey that it was adjusted with, if it was with one."""
     if known is None:
         return ()
-    found = (*_positions(scene, known), *_control(scene, known))
-    mistake = _mistake(scene, known) if found else ""
-    return tuple(replace(each, message=f"{each.message}; {mistake}") if mistake else each for each in found)
+    return (*_mistake(known), *_positions(scene, known), *_control(scene, known))
 
 
-def _mistake(scene: Scene, known: Surveyed) -> str:
-    """What people do that explains why positions do not fit the images; empty where nothing does."""
-    center = scene.views.center[known.stated.center_image]
-    places = StatedPlaces(
-        torch.cat((center, known.stated.known_position + known.off)),
-        torch.cat((known.stated.center, known.stated.known_position)),
-        torch.cat((known.stated.center_information, known.stated.known_information)),
-        torch.cat((scene.views.registered[known.stated.center_image], known.off.any(dim=-1))),
-        len(center),
-    )
-    return places[places.known].mistake(torch.eye(3, dtype=torch.float64))
+def _mistake(known: Surveyed) -> list[Finding]:
+    """What people do that explains why positions do not fit the images."""
+    code = WarningCode.CONTROL_CONTRADICTS if known.stated.control_names else WarningCode.POSITION_CONTRADICTS
+    return [Finding(code, f"{known.mistake}; these positions were not used")] if known.mistake else []
 
 
 def _gravity(scene: Scene, survey: Survey) -> list[Finding]:

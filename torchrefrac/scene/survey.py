@@ -162,7 +162,8 @@ class Surveyed:
     stated: all of it, in the frame of the scene; used: what the scene was adjusted with. Of its ground control points:
     control, where they are, and placed, whether they have a place; of those with known positions: off, where the rays
     of their pixels meet less what is stated (zero where fewer than two meet); distance from what is stated, also in
-    standard deviations of that, after the adjustment (infinitely many where not even their pixels fit there).
+    standard deviations of that, after the adjustment (infinitely many where not even their pixels fit there). mistake:
+    that explains why some positions did not fit, which were left out then, in a sentence; empty where there is none.
     """
 
     stated: Survey
@@ -172,6 +173,7 @@ class Surveyed:
     off: Float[Tensor, "p 3"]
     distance: Float[Tensor, " p"]
     deviations: Float[Tensor, " p"]
+    mistake: str = ""
 
 
 def with_measured(capture: Capture, survey: Survey) -> Capture:

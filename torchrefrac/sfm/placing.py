@@ -63,7 +63,7 @@ def placed_in_survey(
     if not len(places):
         return Placed(scene)
     if mistake := places.mistake(level):
-        raise SurveyError(mistake)
+        raise SurveyError(mistake.sentence)
     off = float(as_it_stands.deviations().median()) if len(as_it_stands) == len(places) else torch.inf
     if off <= usual:
         return Placed(scene)

@@ -16,8 +16,19 @@ FEWEST_LEVEL, FEWEST = 2, 3
 """Places that a similarity needs where the vertical is known, and where it is not."""
 CLEAR = 10.0
 """Times that deviations must be smaller with x and y exchanged."""
+UPRIGHT = 0.7
+"""Cosine of the angle by which a similarity may turn a vertical that is known."""
 OTHER_UNIT = 1.5
 """Ratio of two scales from which on lengths are in different units."""
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One that people make in what they state: x and y that are exchanged, or ground control in another frame or unit
+    than the cameras. of_cameras: whether it is about these."""
+
+    sentence: str
+    of_cameras: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,32 +105,35 @@ class StatedPlaces:
     def best(self, level: Float[Tensor, "3 3"] | None, enough: float) -> Similarity | None:
         """The first similarity, with the vertical or without, that leaves a median of `enough` deviations at most, or
         the one that leaves the least; None where there is none."""
-        tried = (None if level is None else self.level_similarity(level), self.similarity())
+        tried = [None if level is None else self.level_similarity(level), self.similarity()]
         found = [(float(self.deviations(one[0]).median()), one[0]) for one in tried if one is not None]
+        if level is not None:
+            found = [(far, change) for far, change in found if float((change.rotation @ level.mT)[2, 2]) > UPRIGHT]
         good = next((change for far, change in found if far <= enough), None)
         return good or min(found, key=lambda one: one[0], default=(0.0, None))[1]
 
-    def mistake(self, level: Float[Tensor, "3 3"] | None) -> str:
-        """What is wrong with what is stated, in a sentence, where a mistake that people make explains it: x and y that
-        are exchanged, or control points in another frame or unit than the cameras. Empty where none does."""
-        control = self.of_control
+    def mistake(self, level: Float[Tensor, "3 3"] | None) -> Mistake | None:
+        """What people do that explains why what is stated does not fit; None where nothing does."""
+        usual, control = self._left(level), self.of_control
+        before = torch.minimum(usual, self.deviations())
+        if not len(self):
+            return None
         kinds = {"position of marks": control, "center of images": ~control, "all positions": control | ~control}
-        usual = self._left(level)
         for what, rows in kinds.items():
-            if not bool(rows.any()):
-                continue
-            left, before = self.swapped(rows)._left(level), torch.minimum(usual, self.deviations())
-            if float(left[rows].median()) < float(before[rows].median()) / CLEAR and left.median() <= usual.median():
-                return (
-                    f"{what} in the survey fits far better with x and y exchanged: x is east and y is north, exchange "
-                    "them"
-                )
+            left = self.swapped(rows)._left(level)
+            if (
+                bool(rows.any())
+                and left[rows].median() < before[rows].median() / CLEAR
+                and left.median() <= usual.median()
+            ):
+                told = "fits far better with x and y exchanged: x is east and y is north, exchange them"
+                return Mistake(f"{what} in the survey {told}", bool((rows & ~control).any()))
         first, second = (self[rows].best(level, 0.0) for rows in (control, ~control))
         if first is None or second is None:
-            return ""
+            return None
         apart = torch.where(control, self.deviations(first), self.deviations(second))
-        if float(apart.log1p().mean()) > float(torch.minimum(usual, self.deviations()).log1p().mean()) - 1.0:
-            return ""
+        if float(apart.log1p().mean()) > float(before.log1p().mean()) - 1.0:
+            return None
         ratio = float(second.scale / first.scale)
         far = float((first.apply(self.found) - second.apply(self.found)).norm(dim=-1).median())
         if max(ratio, 1.0 / ratio) > OTHER_UNIT:
@@ -127,8 +141,8 @@ class StatedPlaces:
         elif far > _spread(self.stated[control]) + _spread(self.stated[~control]):
             what = f"in frames that are {far:.4g} apart"
         else:
-            return ""
-        return f"position of marks and center of images in the survey are {what}: give both in one"
+            return None
+        return Mistake(f"position of marks and center of images in the survey are {what}: give both in one", False)
 
     def _left(self, level: Float[Tensor, "3 3"] | None) -> Float[Tensor, " k"]:
         """Deviations after the best similarity; infinite where there is none."""

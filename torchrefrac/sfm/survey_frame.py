@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from torchrefrac.bundle import Term
@@ -24,12 +24,14 @@ FEWEST = 3
 class SurveyFrame:
     """Of a scene whose points after the first `ties` are the ground control points of a survey: stated, all that was
     measured, in the frame of the scene; used: without what most others contradict; level: by how much the frame of the
-    scene is higher than that of the survey; None: it is a frame of its own, in the unit of the survey."""
+    scene is higher than that of the survey; None: it is a frame of its own, in the unit of the survey. mistake: see
+    `Surveyed`."""
 
     stated: Survey
     used: Survey
     ties: int
     level: float | None = 0.0
+    mistake: str = ""
 
     def lowered(self, by: float) -> "SurveyFrame":
         """The same with the water so much higher."""
@@ -58,7 +60,7 @@ class SurveyFrame:
             observations=scene.observations[tied],
             accepted=scene.accepted[tied],
         )
-        return tied_scene, surveyed(scene, self.stated, self.used)
+        return tied_scene, replace(surveyed(scene, self.stated, self.used), mistake=self.mistake)
 
 
 def placed_by_survey(scene: Scene, capture: Capture, survey: Survey) -> tuple[Scene, SurveyFrame] | None:
@@ -77,30 +79,44 @@ def placed_by_survey(scene: Scene, capture: Capture, survey: Survey) -> tuple[Sc
     level = torch.eye(3, dtype=torch.float64) if refractive else mean_level(scene, capture)
     places = StatedPlaces.of(every, survey)
     places = places[places.known]
+    mistake = places.mistake(level)
+    if mistake is not None:
+        survey = survey.without(*_all_positions(survey, cameras=mistake.of_cameras))
+        places = places[~places.of_control & ~torch.tensor(mistake.of_cameras)]
+    why = "" if mistake is None else mistake.sentence
     found = places.level_similarity(level) if len(places) >= FEWEST else None
     if found is None:
-        return _scaled(every, capture, survey, ties)
+        return _scaled(every, capture, survey, ties, why)
     change, height = found[0], float(found[0].translation[2]) if refractive else 0.0
     lowered = survey.lowered(height)
     shift = change.translation - change.translation.new_tensor((0.0, 0.0, height))
     every = transformed(every, replace(change, translation=shift))
-    frame = SurveyFrame(lowered, without_contradicted(every, lowered), ties, height)
+    frame = SurveyFrame(lowered, without_contradicted(every, lowered), ties, height, why)
     return _with_known(every, frame), frame
 
 
-def _scaled(scene: Scene, capture: Capture, survey: Survey, ties: int) -> tuple[Scene, SurveyFrame] | None:
+def _scaled(
+    scene: Scene, capture: Capture, survey: Survey, ties: int, mistake: str
+) -> tuple[Scene, SurveyFrame] | None:
     """The scene in a frame of its own, in the unit of the scale bars, with what does not depend on a frame."""
-    every = torch.ones(len(survey.center), dtype=torch.bool), torch.ones(len(survey.known_control), dtype=torch.bool)
-    survey = survey.without(*every)
-    if not (len(survey.bar_length) or len(survey.waterline_control)):
+    if len(survey.known_control) and not mistake:
+        mistake = f"positions of the survey do not say where the scene is: give {FEWEST} or more that are apart"
+    survey = survey.without(*_all_positions(survey, cameras=True))
+    if not (mistake or len(survey.bar_length) or len(survey.waterline_control)):
         return None
     scene = fix_frame(scene, capture)
     apart = (scene.points[ties + survey.bar_to] - scene.points[ties + survey.bar_from]).norm(dim=-1)
     known = scene.placed[ties + survey.bar_to] & scene.placed[ties + survey.bar_from]
     if bool(known.any()):
         scale = (survey.bar_length / apart)[known].median()
-        scene = transformed(scene, Similarity(scale, torch.eye(3).double(), torch.zeros(3).double()))
-    return scene, SurveyFrame(survey, survey, ties, None)
+        scene = transformed(scene, Similarity(scale, torch.eye(3).to(scale), scale.new_zeros(3)))
+    return scene, SurveyFrame(survey, survey, ties, None, mistake)
+
+
+def _all_positions(survey: Survey, cameras: bool) -> tuple[Bool[Tensor, " c"], Bool[Tensor, " p"]]:
+    """Masks of the positions of all ground control points, and of all cameras where these are wanted, too."""
+    centers = torch.full((len(survey.center),), cameras)
+    return centers, torch.ones(len(survey.known_control), dtype=torch.bool)
 
 
 def _with_known(scene: Scene, frame: SurveyFrame) -> Scene:
