@@ -114,13 +114,13 @@ class StatedPlaces:
 
     def mistake(self, level: Float[Tensor, "3 3"] | None) -> Mistake | None:
         """What people do that explains why what is stated does not fit; None where nothing does."""
-        usual, control = self._left(level), self.of_control
-        before = torch.minimum(usual, self.deviations())
         if not len(self):
             return None
+        usual, control = self._left(level).clamp(min=1.0), self.of_control
+        before = torch.minimum(usual, self.deviations())
         kinds = {"position of marks": control, "center of images": ~control, "all positions": control | ~control}
         for what, rows in kinds.items():
-            left = self.swapped(rows)._left(level)
+            left = self.swapped(rows)._left(level).clamp(min=1.0)
             if (
                 bool(rows.any())
                 and left[rows].median() < before[rows].median() / CLEAR

@@ -17,12 +17,12 @@ from torchrefrac.sfm.rules import ReadjustOptions
 from torchrefrac.sfm.vertical import angle_between
 from torchrefrac.sfm.water_level import AS_GOOD, candidate_offsets, misfit, short_adjustment
 
-POINTS = 300
+POINTS = 200
 """That the search looks at."""
 TILTS_DEG, AZIMUTHS = (20.0, 40.0), 6
 """Of the normals that are tried, about that which cameras and points ask for."""
-LEVELS = 3
-"""That are tried with each."""
+LEVELS = 2
+"""That are tried with each, the highest: from a plane near the cameras the search goes farthest."""
 APART_DEG = 5.0
 """Between two normals that are not the same."""
 REMEDY = "give plane.normal, or down_in_cam of some images or positions of three in a survey"
@@ -46,7 +46,7 @@ def with_found_normal(
     tried = [
         _with_plane(some, normal, offset)
         for normal in candidate_normals(scene)
-        for offset in thin(candidate_offsets(_with_plane(some, normal)), LEVELS)
+        for offset in candidate_offsets(_with_plane(some, normal))[-LEVELS:]
     ]
     found = []
     for candidate in recorder.track(tried, len(tried), "water normal", "plane"):
