@@ -344,6 +344,6 @@ def named(names: tuple[str, ...], which: Bool[Tensor, " k"]) -> tuple[str, ...]:
     return tuple(names[i] for i in which.nonzero()[:, 0].tolist())
 
 
-def listed(names: tuple[str, ...]) -> str:
-    """All of a few names, or the first ones and how many more."""
-    return ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} and {len(names) - 3} more images"
+def listed(names: tuple[str, ...], what: str = "images") -> str:
+    """All of a few names, or the first ones and how many more of what they are."""
+    return ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} and {len(names) - 3} more {what}"

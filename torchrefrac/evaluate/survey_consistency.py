@@ -65,7 +65,7 @@ def _positions(scene: Scene, known: Surveyed) -> list[Finding]:
     off, image = of_centers(scene, known.stated), known.stated.center_image
     names = tuple(scene.views.names[i] for i in image.tolist())
     left_out = ~torch.isin(image, known.used.center_image)
-    message = _message(off, names, left_out, "center", scene.length_unit)
+    message = _message(off, names, left_out, "center", "images", scene.length_unit)
     return [Finding(WarningCode.POSITION_CONTRADICTS, message, named(names, off.contradicted))] if message else []
 
 
@@ -73,11 +73,13 @@ def _control(scene: Scene, known: Surveyed) -> list[Finding]:
     off, control = Disagreement(known.distance, known.deviations), known.stated.known_control
     names = tuple(known.stated.control_names[i] for i in control.tolist())
     left_out = off.deviations.isinf() | ~torch.isin(control, known.used.known_control)
-    message = _message(off, names, left_out, "position or observations", scene.length_unit)
+    message = _message(off, names, left_out, "position or observations", "marks", scene.length_unit)
     return [Finding(WarningCode.CONTROL_CONTRADICTS, message)] if message else []
 
 
-def _message(off: Disagreement, names: tuple[str, ...], left_out: Bool[Tensor, " k"], what: str, unit: str) -> str:
+def _message(
+    off: Disagreement, names: tuple[str, ...], left_out: Bool[Tensor, " k"], what: str, of: str, unit: str
+) -> str:
     """Which of the names are how far off; nothing where none is."""
     wrong = named(names, off.contradicted)
     if not wrong:
@@ -86,6 +88,6 @@ def _message(off: Disagreement, names: tuple[str, ...], left_out: Bool[Tensor, "
     shown = ", ".join(f"{name}: {distance:.3g} {unit}" for name, distance in [*zip(wrong, far, strict=True)][:3])
     used = "it was used, as no majority agrees" if not bool(left_out.any()) else "what most contradict was not used"
     return (
-        f"{what} of {listed(wrong)} is farther from where the images have it than its sigma explains ({shown}); "
+        f"{what} of {listed(wrong, of)} is farther from where the images have it than its sigma explains ({shown}); "
         f"{used}: check it and its sigma"
     )

@@ -124,7 +124,7 @@ class StatedPlaces:
             if (
                 bool(rows.any())
                 and left[rows].median() < before[rows].median() / CLEAR
-                and left.median() <= usual.median()
+                and left.log1p().mean() < usual.log1p().mean()
             ):
                 told = "fits far better with x and y exchanged: x is east and y is north, exchange them"
                 return Mistake(f"{what} in the survey {told}", bool((rows & ~control).any()))
