@@ -52,8 +52,14 @@ def assert_same_cameras(scene, truth, within=1e-6):
 
 @pytest.mark.parametrize(
     "known",
-    [{"centers": range(7)}, {"centers": (0, 2, 5)}, {"centers": (1, 4), "gravity": (3,)}, {"control": range(6)}],
-    ids=["centres", "three centres", "two centres and gravity", "control"],
+    [
+        {"centers": range(7)},
+        {"centers": (0, 2, 5)},
+        {"centers": (1, 4), "gravity": (3,)},
+        {"centers": (1, 4)},
+        {"control": range(6)},
+    ],
+    ids=["centres", "three centres", "two centres and gravity", "two centres and the water", "control"],
 )
 def test_a_model_anywhere_comes_to_where_the_survey_has_it_and_its_water_goes_along(truth, known):
     placed = placed_in_survey(moved(truth, ELSEWHERE), survey_of(truth, **known))
@@ -106,7 +112,7 @@ def test_one_wrong_position_does_not_move_the_others(truth):
 
 def test_too_few_positions_are_refused_where_the_model_is_elsewhere(truth):
     with pytest.raises(SurveyError, match=r"2 of them do not say how it is turned .* give 3 that are not on a line"):
-        placed_in_survey(moved(truth, ELSEWHERE), survey_of(truth, (1, 4)))
+        placed_in_survey(transformed(truth, ELSEWHERE), survey_of(truth, (1, 4)), water_is_in_place=True)
 
 
 def exchanged(point):

@@ -464,3 +464,12 @@ def test_options_that_cannot_work_are_refused():
         ReadjustOptions(rounds=0)
     with pytest.raises(ValueError, match="max_error is -1"):
         ReadjustOptions(max_error=-1.0)
+
+
+def test_a_tilt_of_the_water_that_is_hardly_known_is_named(plant):
+    truth = plant().truth
+    survey = Survey.empty(truth.views.names)
+
+    for sigma, codes in ((0.002, []), (0.05, ["gravity_undetermined"])):
+        scene = replace(truth, assessment=replace(truth.assessment, tilt_sigma=sigma))
+        assert [found.code for found in survey_contradictions(scene, survey, survey)] == codes

@@ -48,16 +48,18 @@ def placed_in_survey(
 
     Its interfaces go along, unless the water is in place already, as one that is level in the frame of the survey; then
     ground control points are at first seen as if there was none. The similarity is robust: three positions or more that
-    are not on a line, or two where the survey has gravity. Raises SurveyError where x and y are exchanged, control
-    points and cameras are in different frames, or the scene is elsewhere and the positions do not say where it should
-    be.
+    are not on a line, or two where the survey has gravity, or water that goes along shows what is level. Raises
+    SurveyError where x and y are exchanged, control points and cameras are in different frames, or the scene is
+    elsewhere and the positions do not say where it should be.
     """
     as_it_stands = _places(scene, survey)
     usual = unlikely(len(as_it_stands), 3)
     if len(as_it_stands) and float(as_it_stands.deviations().max()) <= usual:
         return Placed(scene)
-    down = mean_down(scene, survey)
-    level, air = None if down is None else levelling(down), torch.ones_like(scene.interfaces.index_ratio)
+    down, air = mean_down(scene, survey), torch.ones_like(scene.interfaces.index_ratio)
+    if down is None and scene.interfaces.refract() and not water_is_in_place:
+        down = -scene.interfaces.normal[0]
+    level = None if down is None else levelling(down)
     dry = replace(scene, interfaces=replace(scene.interfaces, index_ratio=air))
     places = _places(dry if water_is_in_place else scene, survey)
     if not len(places):

@@ -17,8 +17,8 @@ from torchrefrac.sfm.rules import ReadjustOptions
 from torchrefrac.sfm.vertical import angle_between
 from torchrefrac.sfm.water_level import AS_GOOD, candidate_offsets, misfit, short_adjustment
 
-POINTS = 200
-"""That the search looks at."""
+POINTS, OF_EACH = 200, 10
+"""That the search looks at, for all images together, or for each where that is more."""
 TILTS_DEG, AZIMUTHS = (20.0, 40.0), 6
 """Of the normals that are tried, about that which cameras and points ask for."""
 LEVELS = 2
@@ -43,9 +43,11 @@ def with_found_normal(
     if not scene.interfaces.refract():
         raise UnadjustableError(f"the normal of the water cannot be seen at an index ratio of 1; {REMEDY}")
     some = _some_points(scene)
+    if not len(some.points):
+        raise UnadjustableError("the reconstruction has no points, which could show how the water lies")
     tried = [
         _with_plane(some, normal, offset)
-        for normal in candidate_normals(scene)
+        for normal in candidate_normals(some)
         for offset in candidate_offsets(_with_plane(some, normal))[-LEVELS:]
     ]
     found = []
@@ -109,7 +111,7 @@ def _with_plane(scene: Scene, normal: Float[Tensor, "3"], offset: Float[Tensor, 
 def _some_points(scene: Scene) -> Scene:
     """With few of the points, if these connect all images."""
     chosen = torch.zeros_like(scene.placed)
-    chosen[thin(torch.arange(len(chosen)), POINTS)] = True
+    chosen[thin(torch.arange(len(chosen)), max(POINTS, OF_EACH * len(scene.views)))] = True
     part = replace(scene, accepted=chosen[scene.observations.point]).trimmed()
     seen, m = part.observations, len(part.views)
     label = components(seen.view, seen.point + m, m + len(part.points))
