@@ -234,6 +234,21 @@ def test_a_click_that_is_wrong_leaves_the_scene_right(survey_of, draw):
     assert scene.assessment.surveyed.placed.tolist()[1:] == [True] * 5
 
 
+def test_points_on_the_waterline_take_part(survey_of, draw):
+    survey = positioned(survey_of(cameras=6, points=150, noise=0.1, gravity_error_deg=0.3), draw, 0.05)
+    spot = torch.tensor((5.0, -8.0, 0.0)).double()
+    pixels, _ = survey.basin.cameras.project(spot)
+    seen = {name: at.tolist() for name, at in zip(survey.capture.names, pixels + draw.normal(6, 2), strict=True)}
+    stated = resolve({}, {"w": ControlPoint(seen, waterline=1e-3)}, [], survey.capture.names)
+
+    scene = reconstruct_with(survey, stated)
+
+    (where,) = scene.assessment.surveyed.control
+    assert abs(float(where[2])) < 3e-3
+    assert scene.assessment.lowered_by == pytest.approx(LEVEL, abs=0.1)
+    torch.testing.assert_close(where[:2], spot[:2], rtol=0.0, atol=0.2)
+
+
 def test_a_capture_takes_in_what_a_survey_measured_of_its_images(survey_of):
     survey = survey_of(cameras=4)
     information = torch.diag(torch.tensor((4.0, 1.0, 0.25))).tolist()
