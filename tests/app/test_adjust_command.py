@@ -16,7 +16,9 @@ from torchrefrac.files.cameras import load_points, write_cameras
 from torchrefrac.files.colmap.model import read_colmap, write_colmap
 from torchrefrac.files.tracks import read_scene, write_tracks
 from torchrefrac.files.water import read_water, write_water
+from torchrefrac.geometry import Similarity, so3_exp
 from torchrefrac.scene import Interfaces
+from torchrefrac.sfm.frame import transformed
 
 RESULTS = {
     "run.log",
@@ -195,6 +197,101 @@ def test_the_water_level_is_found(torchrefrac, planted, draw, metrics, tmp_path)
     assert metrics(tmp_path / "run")["camera_rms_cm"] < 0.2
     assert float(_water(tmp_path / "run").offset) == pytest.approx(250.0, abs=8.0)
     assert not (tmp_path / "run" / "cameras.json").exists()
+
+
+CAMERA_LINES = {
+    3: "SIMPLE_PINHOLE 1024 768 667.0 512.0 384.0",
+    7: "SIMPLE_RADIAL 1024 768 667.0 512.0 384.0 0.001",
+    8: "RADIAL 1024 768 667.0 512.0 384.0 0.001 0.002",
+    20: "OPENCV 1024 768 667.0 668.0 512.0 384.0 0.001 0.0 0.0005 0.0",
+    21: "OPENCV_FISHEYE 1024 768 667.0 668.0 512.0 384.0 0.001 0.0 0.0 0.002",
+    500: "FULL_OPENCV 1024 768 667.0 668.0 512.0 384.0 0.001 0.0 0.0 0.0 0.001 0.0 0.002 0.0",
+}
+
+
+def test_cameras_keep_their_model_and_ids_and_names_stay(torchrefrac, make_basin, draw, tmp_path):
+    """Of a model whose ids are anything, in which two images share each camera."""
+    basin = make_basin(cameras=12, points=150, seen_by=3)
+    write_colmap(plant_reconstruction(basin, draw, 0.3).truth, tmp_path / "given")
+    cameras, images = tmp_path / "given" / "cameras.txt", tmp_path / "given" / "images.txt"
+    cameras.write_text("".join(f"{number} {line}\n" for number, line in CAMERA_LINES.items()))
+    lines = [line for line in images.read_text().splitlines() if not line.startswith("#")]
+    called = {str(i + 1): (str(90 - 7 * i), [*CAMERA_LINES][i // 2]) for i in range(12)}
+    for i in range(0, len(lines), 2):
+        words = lines[i].split(" ")
+        words[0], words[8] = (str(one) for one in called[words[0]])
+        lines[i] = " ".join(words)
+    images.write_text("\n".join(lines) + "\n")
+    points = tmp_path / "given" / "points3D.txt"
+    rows = [line.split(" ") for line in points.read_text().splitlines() if not line.startswith("#")]
+    rows = [[called[w][0] if i >= 8 and i % 2 == 0 else w for i, w in enumerate(row)] for row in rows]
+    points.write_text("".join(" ".join(row) + "\n" for row in rows))
+
+    def described(folder):
+        text = (folder / "cameras.txt").read_text().splitlines(), (folder / "images.txt").read_text().splitlines()
+        table, shown = ([line for line in of if not line.startswith("#")] for of in text)
+        return sorted(table), sorted((w[0], w[8], w[9]) for w in (line.split(" ") for line in shown[::2]))
+
+    ended = torchrefrac("adjust", "alignment=given", "index_ratio=1.33", "max_error=40", "rounds=1", "out=run")
+
+    assert ended.status == 0, ended.err
+    assert described(tmp_path / "run" / "colmap") == described(tmp_path / "given")
+
+
+def _elsewhere(scene):
+    """Another frame, and the scene in it."""
+    turn = so3_exp(torch.tensor((1.1, -0.7, 2.0), dtype=torch.float64))
+    change = Similarity(torch.tensor(0.05).double(), turn, torch.tensor((5.0, -3.0, 11.0)).double())
+    return change, transformed(scene, change)
+
+
+def test_a_model_in_a_frame_of_its_own_comes_into_that_of_the_survey(torchrefrac, planted, metrics, tmp_path):
+    _, given = _elsewhere(planted.truth)
+    write_colmap(given, tmp_path / "given")
+    views = planted.truth.views
+    where = zip(views.names, views.center.tolist(), strict=True)
+    centers = {name: {"center": center, "center_sigma": 0.02} for name, center in where}
+    _write_survey(tmp_path / "survey.json", centers)
+
+    ended = torchrefrac("adjust", "alignment=given", "index_ratio=1.33", "survey=survey.json", "out=run")
+
+    assert ended.status == 0, ended.err
+    assert "brought into the frame of the survey" in " ".join(ended.err.split())
+    found = metrics(tmp_path / "run")
+    assert found["survey_scale"] == pytest.approx(20.0, rel=1e-3)
+    assert found["survey_turn_deg"] > 90.0
+    assert found["survey_shift_unit"] > 10.0
+    assert (found["dropped_points"], found["warnings"]) == (0, [])
+    adjusted = read_colmap(tmp_path / "run" / "colmap")
+    torch.testing.assert_close(adjusted.views.center, views.center, rtol=0.0, atol=0.1)
+    assert _water(tmp_path / "run").is_level
+
+
+@pytest.mark.parametrize("gravity", [False, True])
+def test_the_normal_of_the_water_is_found_in_any_frame(torchrefrac, planted, metrics, tmp_path, gravity):
+    change, given = _elsewhere(planted.truth)
+    write_colmap(given, tmp_path / "given")
+    down = zip(planted.truth.views.names, (-planted.truth.views.rotation[:, :, 2]).tolist(), strict=True)
+    images = {name: {"down_in_cam": of, "down_in_cam_sigma_deg": 0.5} for name, of in down}
+    _write_survey(tmp_path / "survey.json", images)
+    survey = ("survey=survey.json",) if gravity else ()
+
+    find = ("plane.normal=find", "plane.offset=find")
+    ended = torchrefrac("adjust", "alignment=given", "index_ratio=1.33", *find, *survey, "out=run")
+
+    assert ended.status == 0, ended.err
+    normal = _water(tmp_path / "run").normal[0]
+    wanted = normal.new_tensor((0.0, 0.0, 1.0)) if gravity else change.rotation[:, 2]
+    assert float((normal @ wanted).clamp(max=1.0).acos().rad2deg()) < 0.5
+    assert any(line.startswith("tilt of the water") for line in metrics(tmp_path / "run")["determined"])
+    assert metrics(tmp_path / "run")["held"] == {}
+
+
+def test_a_normal_without_a_level_needs_a_survey(torchrefrac, given):
+    ended = torchrefrac("adjust", f"alignment={given}", "plane.normal=find", "out=run")
+
+    assert ended.status == 1
+    assert "set plane.offset=find" in " ".join(ended.err.split())
 
 
 def test_what_is_not_determined_is_held_and_said(torchrefrac, given, metrics, tmp_path):

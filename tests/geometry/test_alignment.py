@@ -6,7 +6,16 @@ import pytest
 import torch
 
 from tests.tolerances import assert_matches
-from torchrefrac.geometry import Similarity, align_above_plane, align_similarity, heading_rotation, so3_exp
+from torchrefrac.geometry import (
+    Similarity,
+    align_above_plane,
+    align_similarity,
+    are_on_a_line,
+    heading_rotation,
+    robust_level_similarity,
+    robust_similarity,
+    so3_exp,
+)
 
 
 def test_similarity_recovers_a_planted_transform(draw):
@@ -110,3 +119,47 @@ def _assert_same(found, planted):
 
 def _misfit(transform, source, target):
     return (transform.apply(source) - target).square().sum()
+
+
+@pytest.mark.parametrize("count", [9, 40])
+def test_a_robust_similarity_leaves_out_what_is_wrong(draw, count):
+    source, planted = draw.normal(count, 3), _planted(draw, draw.rotations(), draw.normal(3))
+    target = planted.apply(source)
+    wrong = torch.arange(count) < count // 3
+    target[wrong] += 5.0 * draw.directions(int(wrong.sum()))
+
+    found, accepted = robust_similarity(source, target, torch.full((count,), 1e-3).double())
+
+    _assert_same(found, planted)
+    assert torch.equal(accepted, ~wrong)
+
+
+@pytest.mark.parametrize("count", [3, 4, 9])
+def test_a_robust_level_similarity_leaves_out_what_is_wrong_and_the_vertical_alone(draw, count):
+    source, planted = draw.normal(count, 3), _planted_above_plane(draw)
+    planted = Similarity(planted.scale, planted.rotation, planted.translation + torch.tensor((0.0, 0.0, 7.0)))
+    target = planted.apply(source)
+    wrong = torch.arange(count) < count // 4
+    target[wrong, 0] += 5.0
+
+    found, accepted = robust_level_similarity(source, target, torch.full((count,), 1e-3).double())
+
+    _assert_same(found, planted)
+    assert torch.equal(accepted, ~wrong)
+
+
+def test_points_that_weigh_nothing_do_not_count(draw):
+    source, planted = draw.normal(9, 3), _planted(draw, draw.rotations(), draw.normal(3))
+    target, weight = planted.apply(source), draw.uniform(0.5, 2.0, 9)
+    target[4] += 3.0
+    weight[4] = 0.0
+
+    _assert_same(align_similarity(source, target, weight), planted)
+
+
+def test_points_near_a_line_are_told_from_others(draw):
+    along = draw.normal(9)[:, None] * draw.directions(1)
+
+    assert are_on_a_line(along + 0.01 * draw.normal(9, 3), 0.05)
+    assert not are_on_a_line(along + 0.01 * draw.normal(9, 3), 0.002)
+    assert are_on_a_line(draw.normal(2, 3), 0.0)

@@ -481,3 +481,12 @@ def test_of_an_uncertain_rational_distortion_five_coefficients_are_found_and_thr
     known = scene.assessment
     assert known.fixed == {"k4_to_k6": "k4 to k6: as stated, for nothing tells them from k1 to k3"}
     assert known.determined[0].startswith("distortion: determined to 0.00")
+
+
+def test_a_tilt_of_the_water_that_is_hardly_known_is_named(plant):
+    truth = plant().truth
+    survey = Survey.empty(truth.views.names)
+
+    for sigma, codes in ((0.002, []), (0.05, ["gravity_undetermined"])):
+        scene = replace(truth, assessment=replace(truth.assessment, tilt_sigma=sigma))
+        assert [found.code for found in survey_contradictions(scene, survey, survey)] == codes

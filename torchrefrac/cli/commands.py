@@ -21,7 +21,7 @@ from torchrefrac.commands.adjust import adjust_run, require_apart
 from torchrefrac.commands.densify import SparseRun, densify_run, open_run
 from torchrefrac.commands.memory import memory_lack_explained
 from torchrefrac.commands.reconstruct import run
-from torchrefrac.commands.results import OPTIONS, require_outside, results_in
+from torchrefrac.commands.results import OPTIONS, require_not_replaced, require_outside, results_in
 from torchrefrac.config import AdjustOptions, DensifyOptions, FolderOptions, RunOptions, scene_folder
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.run import RunRecord
@@ -63,6 +63,7 @@ def reconstruct_into(folder: Path, options: RunOptions, settings: Any, config: D
     """One run, reported on the terminal where it is watched; `folder` holds its results, or is as it was."""
     if isinstance(options.scene, FolderOptions):
         require_outside(folder, scene_folder(options.scene, None, SilentRecorder()))
+    require_not_replaced(folder, "survey", options.reconstruction.survey)
     with memory_lack_explained(), results_in(folder) as place:
         told = {"config": config, "hydra": {"hydra": settings}, "overrides": settings.overrides.task}
         for name, content in told.items():

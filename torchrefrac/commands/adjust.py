@@ -21,12 +21,14 @@ from torchrefrac.commands.results import (
     run_record,
 )
 from torchrefrac.commands.run_folder import RunFolder
-from torchrefrac.config import FRESH_WATER, AdjustOptions, OptionError, PlaneOptions
+from torchrefrac.config import FRESH_WATER, LEVEL, AdjustOptions, OptionError, PlaneOptions
 from torchrefrac.evaluate.metrics import evaluate
 from torchrefrac.evaluate.survey_consistency import survey_contradictions
+from torchrefrac.evaluate.survey_metrics import survey_metrics
 from torchrefrac.files.cameras import CAMERAS, write_cameras, write_points
 from torchrefrac.files.capture import load_capture
-from torchrefrac.files.colmap.model import find_colmap, write_colmap
+from torchrefrac.files.colmap.model import find_colmap, read_ids, write_colmap
+from torchrefrac.files.colmap.tables import Ids
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.run import RunRecord
 from torchrefrac.files.survey import read_survey
@@ -37,8 +39,18 @@ from torchrefrac.geometry import Similarity
 from torchrefrac.numerics import segment_sum
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Interfaces, Scene, Survey, Truth
-from torchrefrac.sfm import Outcome, ReadjustOptions, readjust, with_found_level
+from torchrefrac.sfm import (
+    Outcome,
+    Placed,
+    ReadjustOptions,
+    placed_in_survey,
+    readjust,
+    upright,
+    with_found_level,
+    with_found_normal,
+)
 from torchrefrac.sfm.frame import transformed
+from torchrefrac.sfm.positions import surveyed
 
 TRACKS = "tracks.npz"
 
@@ -50,12 +62,14 @@ def adjust(
     options: ReadjustOptions | None = None,
     recorder: Recorder | None = None,
 ) -> Scene:
-    """The scene adjusted with refraction at its interfaces and the measurements of a survey; only what fits stays.
+    """The scene adjusted with refraction at its interfaces and the measurements of a survey, in whose frame it is
+    brought before if it stands elsewhere; only what fits stays.
 
-    Raises what `sfm.readjust` raises.
+    Raises what `sfm.placed_in_survey` and `sfm.readjust` raise.
     """
     survey = survey or Survey.empty(scene.views.names)
-    return _finished(*readjust(scene, survey, options, recorder), survey)
+    placed = placed_in_survey(scene, survey, recorder).scene
+    return _finished(*readjust(placed, survey, options, recorder), survey)
 
 
 def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict[str, Any]:
@@ -79,19 +93,21 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
         truth = _truth(options, given)
         names = scene.views.names
         survey = read_survey(options.survey, names) if options.survey else Survey.empty(names)
-        scene = _with_water(scene, options, given)
-        how: ReadjustOptions = options
-        if options.plane.offset == "find":
-            how = _with_varying_height(options)
-            scene = with_found_level(scene, survey, how, recorder)
+        read = _with_water(scene, options, given)
+        placed = placed_in_survey(read, survey, recorder, not _states_water(options, given))
+        how = _with_varying_plane(options)
+        placed = _with_found_plane(placed, survey, how, recorder)
+        scene = placed.scene
         everything, outcome = readjust(scene, survey, how, recorder)
         with recorder.meter(2, "evaluating", "") as advance:
             adjusted = _finished(everything, outcome, survey)
-            files.metrics |= _summary(scene, adjusted, outcome) | _lost(everything, survey)
+            files.metrics |= _summary(scene, adjusted, outcome) | _lost(everything) | _placing(placed, read)
+            files.metrics |= survey_metrics(surveyed(everything, survey, outcome.survey or survey), scene.length_unit)
             if truth is not None and len(adjusted.interfaces) == 1:
                 files.metrics |= evaluate(_above_level_water(adjusted), truth)[0]
             advance(1, "")
-            _write(adjusted, folder, options.format == "binary")
+            ids = read_ids(options.alignment) if read.cameras.read_as else None
+            _write(adjusted, folder, options.format == "binary", ids)
             advance(1, "")
     return files.metrics
 
@@ -135,6 +151,14 @@ def _truth(options: AdjustOptions, run: RunRecord | None) -> Truth | None:
     return truth
 
 
+def _states_water(options: AdjustOptions, run: RunRecord | None) -> bool:
+    """Whether the water is stated in the frame of the alignment: by options, or because it is that of a run. Else it is
+    z = 0, or lies level, where the survey has the alignment."""
+    is_run = run is not None or (Path(options.alignment) / CAMERAS).is_file()
+    is_said = is_run or options.water.path is not None or not options.plane.is_level
+    return is_said and options.plane.normal != "find"
+
+
 def _with_water(scene: Scene, options: AdjustOptions, run: RunRecord | None) -> Scene:
     """The scene behind the surfaces of a water.json, or behind the one plane of the options. An adjusted run has a
     water.json of its own, which counts where the options say nothing else."""
@@ -147,7 +171,7 @@ def _with_water(scene: Scene, options: AdjustOptions, run: RunRecord | None) -> 
         if options.index_ratio is not None:
             interfaces = replace(interfaces, index_ratio=torch.full_like(interfaces.index_ratio, options.index_ratio))
         return replace(scene, interfaces=interfaces, views=replace(scene.views, interface=rows))
-    normal = torch.tensor(options.plane.normal, dtype=torch.float64)
+    normal = torch.tensor(LEVEL if options.plane.normal == "find" else options.plane.normal, dtype=torch.float64)
     given = 0.0 if options.plane.offset == "find" else options.plane.offset
     offset = torch.tensor([given], dtype=torch.float64)
     ratio = _index_ratio(scene, options, run)
@@ -166,9 +190,28 @@ def _index_ratio(scene: Scene, options: AdjustOptions, run: RunRecord | None) ->
     return FRESH_WATER if capture is None or not capture.is_dir() else load_capture(capture).index_ratio
 
 
-def _with_varying_height(options: AdjustOptions) -> AdjustOptions:
-    refine = dict.fromkeys((*options.bundle.refine, "plane_height"))
+def _with_varying_plane(options: AdjustOptions) -> AdjustOptions:
+    """What is searched for of the plane varies afterwards."""
+    refine = dict.fromkeys((*options.bundle.refine, *options.plane.refined))
     return replace(options, bundle=replace(options.bundle, refine=tuple(refine)))
+
+
+def _with_found_plane(placed: Placed, survey: Survey, options: AdjustOptions, recorder: Recorder) -> Placed:
+    """With what is to be found of the plane: level where the survey says what is, else as the images show it."""
+    plane = options.plane
+    if plane.normal == "find":
+        found = upright(placed, survey)
+        if found is None and plane.offset != "find":
+            raise OptionError(
+                f"plane.normal is find, but plane.offset is {plane.offset}: without gravity or positions in a survey "
+                "the height of the water along a normal that nobody knows must be found, too; set plane.offset=find"
+            )
+        if found is None:
+            return replace(placed, scene=with_found_normal(placed.scene, survey, options, recorder)[0])
+        placed = found
+    if plane.offset == "find":
+        return replace(placed, scene=with_found_level(placed.scene, survey, options, recorder))
+    return placed
 
 
 def _finished(scene: Scene, outcome: Outcome, survey: Survey) -> Scene:
@@ -213,23 +256,26 @@ def _summary(given: Scene, adjusted: Scene, outcome: Outcome) -> dict[str, Any]:
     return metrics
 
 
-def _lost(scene: Scene, survey: Survey) -> dict[str, Any]:
-    """Where the ground control points are, and what did not fit the rest."""
-    ties = len(scene.points) - len(survey.control_names)
-    where, placed = scene.points[ties:].tolist(), scene.placed[ties:].tolist()
-    control = list(zip(survey.control_names, where, placed, strict=True))
-    views = zip(scene.views.names, scene.views.registered.tolist(), strict=True)
-    found = {
-        "marks": {name: position for name, position, placed in control if placed},
-        "lost_marks": [*(name for name, _, placed in control if not placed), *survey.skipped_controls],
-        "lost_images": [name for name, registered in views if not registered],
-        "images_only_in_survey": list(survey.skipped),
+def _placing(placed: Placed, given: Scene) -> dict[str, Any]:
+    """How the given alignment was brought into the frame of the survey, if it was."""
+    if placed.change is None:
+        return {}
+    return {
+        "survey_scale": float(placed.change.scale),
+        "survey_turn_deg": placed.turn_deg,
+        f"survey_shift_{given.length_unit}": placed.shift(given),
     }
-    return {name: value for name, value in found.items() if value}
 
 
-def _write(scene: Scene, folder: Path, binary: bool) -> None:
-    write_colmap(scene, folder / MODEL, binary, _point_errors(scene))
+def _lost(scene: Scene) -> dict[str, Any]:
+    """Which images did not fit the rest."""
+    views = zip(scene.views.names, scene.views.registered.tolist(), strict=True)
+    lost = [name for name, registered in views if not registered]
+    return {"lost_images": lost} if lost else {}
+
+
+def _write(scene: Scene, folder: Path, binary: bool, ids: Ids | None) -> None:
+    write_colmap(scene, folder / MODEL, binary, _point_errors(scene), ids)
     write_water(scene, folder / WATER)
     write_points(scene.points, scene.colors, folder / "points.ply", scene.assessment, scene.dry)
     write_tracks(scene, folder / TRACKS)

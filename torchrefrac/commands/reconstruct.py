@@ -20,12 +20,14 @@ from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.evaluate.doubts import doubts
 from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.evaluate.survey_consistency import position_contradictions
+from torchrefrac.evaluate.survey_metrics import survey_metrics
 from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
 from torchrefrac.figures.matches import StagePictures
 from torchrefrac.files.masks import Masks
 from torchrefrac.files.paths import real_path
+from torchrefrac.files.survey import SURVEY, read_survey
 from torchrefrac.recorder import Recorder, SilentRecorder
-from torchrefrac.scene import Capture, Scene, Truth, WarningCode
+from torchrefrac.scene import Capture, Scene, Survey, Truth, WarningCode, with_measured
 from torchrefrac.sfm import (
     PinholeInitializer,
     PoseInitializer,
@@ -61,15 +63,21 @@ def reconstruct(
     options: Options | None = None,
     recorder: Recorder | None = None,
     on_stage: StageHook | None = None,
+    survey: Survey | None = None,
 ) -> Scene:
     """Reconstruct cameras and sparse points of a capture.
+
+    survey: what was measured on site, by default what the file `options.survey` says, or the survey.json beside the
+    capture.json, if there is one; `Survey.empty(capture.names)` for none.
 
     `on_stage(name, product, seconds)` hears of every finished stage: "features" (list of Features), "levelling" (the
     capture with estimated verticals; only where gravity of any image is unknown and refraction can show it), "matching"
     (list of VerifiedPair), "sparse" (Scene). Deterministic for given options. Raises ReconstructionError when no two
-    images can be related, or no pair shows which way is down.
+    images can be related, or no pair shows which way is down; SurveyError for a file that cannot be used.
     """
     options = options or Options()
+    survey = survey or survey_of(capture, options)
+    capture = with_measured(capture, survey)
     recorder = recorder or SilentRecorder()
     stage = _Stages(on_stage)
     generator = torch.Generator().manual_seed(options.seed)
@@ -101,7 +109,8 @@ def reconstruct(
         recorder.histogram("tracks/length", torch.bincount(observations.point), 0)
         scene = Scene.of_capture(verified.capture, observations, colors, verified.initializer.index_ratio)
         capture, initializer, sfm, pairs = verified
-        return reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder, water, features)
+        about = water, features, survey
+        return reconstruct_sparse(scene, capture, pairs, initializer, sfm, generator, recorder, *about)
 
     def sparse() -> Scene:
         found = grown(verified)
@@ -118,7 +127,7 @@ def reconstruct(
             known = replace(known, wished={"focal": focal})
         place = stated.georeference if known.lowered_by is not None else None
         found = replace(found, assessment=known, georeference=place and place.raised(known.lowered_by or 0.0))
-        about_positions = position_contradictions(found, stated)
+        about_positions = position_contradictions(found, found.assessment.surveyed)
         return replace(found, findings=(*contradictions(found, stated), *about_positions, *doubts(stated)))
 
     return stage("sparse", sparse)
@@ -140,22 +149,32 @@ def run(
     """
     require_place(options.outputs, capture.georeference)
     files, pictures = RunFolder(folder), StagePictures(capture, recorder)
+    gravity = with_measured(capture, survey_of(capture, options)).gravity_metrics
 
     def stage_done(name: str, product: Any, seconds: float) -> None:
         files.stage_done(name, product, seconds)
         pictures.stage_done(name, product)
 
     known = {"model": options.model.name, "capture": str(real_path(capture.folder))} | dict(about or {})
-    with files.recording(**known, **capture.gravity_metrics):
+    with files.recording(**known, **gravity):
         scene = reconstruct(capture, options, recorder, stage_done)
         with recorder.meter(2, "evaluating", "") as advance:
             metrics, alignment = evaluate_run(scene, truth)
+            lowered = scene.assessment.lowered_by or 0.0
+            metrics |= survey_metrics(scene.assessment.surveyed, scene.length_unit, lowered)
             advance(1, "")
             files.complete(scene, metrics, truth, alignment)
             advance(1, "")
         if options.dense.method != "none":
             dense_stage(files, scene, options.dense, options.outputs, truth, alignment, recorder)
     return files.metrics
+
+
+def survey_of(capture: Capture, options: Options) -> Survey:
+    """What was measured on site: in the file that the options name, or else beside the capture."""
+    beside = capture.folder / SURVEY
+    path = options.survey or (beside if beside.is_file() else None)
+    return Survey.empty(capture.names) if path is None else read_survey(path, capture.names)
 
 
 class _Stages:

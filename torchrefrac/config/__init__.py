@@ -3,6 +3,7 @@
 from torchrefrac.config.build import OptionError, build
 from torchrefrac.config.options import (
     FRESH_WATER,
+    LEVEL,
     AdjustOptions,
     DenseOutputs,
     DensifyOptions,
@@ -16,6 +17,7 @@ from torchrefrac.config.options import (
 from torchrefrac.config.scenes import FolderOptions, build_scene, scene_folder
 
 __all__ = [
-    "FRESH_WATER", "AdjustOptions", "DenseOutputs", "DensifyOptions", "FolderOptions", "ModelOptions", "OptionError",
-    "Options", "OutputOptions", "PlaneOptions", "RunOptions", "WaterOptions", "build", "build_scene", "scene_folder",
+    "FRESH_WATER", "LEVEL", "AdjustOptions", "DenseOutputs", "DensifyOptions", "FolderOptions", "ModelOptions",
+    "OptionError", "Options", "OutputOptions", "PlaneOptions", "RunOptions", "WaterOptions", "build", "build_scene",
+    "scene_folder",
 ]  # fmt: skip

@@ -20,6 +20,7 @@ ModelName = Literal["none", "radial", "refractive"]
 FRESH_WATER = 1.333
 SALINITY_PSU, WAVELENGTH_NM = Range(at_least=0.0, at_most=35.0), Range(at_least=400.0, at_most=700.0)
 SEED = Range(at_least=0, at_most=2**64 - 1)  # what PyTorch takes
+LEVEL = (0.0, 0.0, 1.0)  # normal of a water surface where z is up
 FARTHEST = 1e9  # of a plane from the origin, in any unit
 
 
@@ -111,7 +112,10 @@ class DenseOutputs:
 
 @dataclass(frozen=True)
 class Options:
-    """Everything that decides how a capture is reconstructed, and what is written of its dense surface."""
+    """Everything that decides how a capture is reconstructed, and what is written of its dense surface.
+
+    survey: path of a survey.json; None: the one beside the capture.json, if there is one.
+    """
 
     model: ModelOptions = field(default_factory=ModelOptions)
     water: WaterOptions = field(default_factory=WaterOptions)
@@ -120,6 +124,7 @@ class Options:
     sfm: SfmOptions = field(default_factory=SfmOptions)
     dense: DenseOptions = field(default_factory=DenseOptions)
     outputs: DenseOutputs = field(default_factory=DenseOutputs)
+    survey: str | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -172,16 +177,27 @@ class DensifyOptions:
 @dataclass(frozen=True)
 class PlaneOptions:
     """The water plane normal . x = offset in the frame of an alignment, its normal out of the water. offset "find": the
-    height of the water is searched for and then varies."""
+    height of the water is searched for and then varies; normal "find": so are its tilts."""
 
-    normal: tuple[float, ...] = (0.0, 0.0, 1.0)
+    normal: tuple[float, ...] | Literal["find"] = LEVEL
     offset: float | Literal["find"] = 0.0
 
     def __post_init__(self) -> None:
-        if len(self.normal) != 3 or not 0.0 < math.hypot(*self.normal) < math.inf:
-            raise OptionError(f"plane.normal is {list(self.normal)}, but must be three numbers, not all zero")
+        if self.normal != "find" and (len(self.normal) != 3 or not 0.0 < math.hypot(*self.normal) < math.inf):
+            wanted = "three numbers, not all zero, or find"
+            raise OptionError(f"plane.normal is {list(self.normal)}, but must be {wanted}")
         if self.offset != "find" and not abs(self.offset) <= FARTHEST:
             raise OptionError(f"plane.offset is {self.offset}, but must be finite, or find, and {FARTHEST:g} at most")
+
+    @property
+    def is_level(self) -> bool:
+        """Whether nothing is said of a tilt or a height."""
+        return self.normal in (LEVEL, "find") and self.offset in (0.0, "find")
+
+    @property
+    def refined(self) -> tuple[Literal["plane_tilt", "plane_height"], ...]:
+        """What varies of it."""
+        return (("plane_tilt",) if self.normal == "find" else ()) + (("plane_height",) if self.offset == "find" else ())
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from torchrefrac.scene import Capture, Finding, Scene, WarningCode
 from torchrefrac.sfm.focal import GROSS
 from torchrefrac.sfm.gravity import contradicted_gravity, with_common_tilt
 from torchrefrac.sfm.heights import fit_heights
+from torchrefrac.sfm.stated_places import OTHER_UNIT
 from torchrefrac.sfm.vertical import angle_between
 
 FEW, WORSE = 0.5, 4.0
@@ -118,10 +119,20 @@ def _gravity(scene: Scene, stated: Capture) -> list[Finding]:
 
 def _heights(scene: Scene, stated: Capture) -> list[Finding]:
     measured = scene.views.registered & stated.has_height
+    found, heights, unit = scene.views.center[measured, 2], stated.height[measured], scene.length_unit
+    if not bool(measured.any()):
+        return []
+    fit = fit_heights(found, heights, stated.height_sigma[measured])
+    if scene.assessment.surveyed is not None and float(fit.offset) == 0.0:
+        ratio = float(fit.scale)
+        if max(ratio, 1.0 / ratio) > OTHER_UNIT:
+            message = (
+                f"heights are stated to be {ratio:.4g} times what they are with the scale of the survey: check the "
+                "units of both, and what heights are counted from; the scale is that of the survey"
+            )
+            return [Finding(WarningCode.HEIGHT_CONTRADICTS, message)]
     if int(measured.sum()) < 2:
         return []
-    found, heights, unit = scene.views.center[measured, 2], stated.height[measured], scene.length_unit
-    fit = fit_heights(found, heights, stated.height_sigma[measured])
     if float(fit.offset) != 0.0:
         message = (
             f"all heights are too {'large' if float(fit.offset) > 0.0 else 'small'} by {abs(float(fit.offset)):.3g} "
@@ -351,6 +362,6 @@ def named(names: tuple[str, ...], which: Bool[Tensor, " k"]) -> tuple[str, ...]:
     return tuple(names[i] for i in which.nonzero()[:, 0].tolist())
 
 
-def listed(names: tuple[str, ...]) -> str:
-    """All of a few names, or the first ones and how many more."""
-    return ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} and {len(names) - 3} more images"
+def listed(names: tuple[str, ...], what: str = "images") -> str:
+    """All of a few names, or the first ones and how many more of what they are."""
+    return ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} and {len(names) - 3} more {what}"

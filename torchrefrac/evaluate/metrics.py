@@ -77,7 +77,7 @@ def camera_prefixes(cameras: Cameras) -> list[str]:
 
 
 def against_positions(scene: Scene) -> dict[str, float]:
-    """Of a scene in the frame of the positions that its capture states.
+    """Of a scene in the frame of the positions that its capture or a survey states.
 
     With UNIT its length unit: position_rms_UNIT and position_rms_vertical_UNIT of registered cameras, horizontally and
     in height; water_level_UNIT and water_level_sigma_UNIT, the height of the water among the positions and its standard
@@ -90,10 +90,10 @@ def against_positions(scene: Scene) -> dict[str, float]:
     views = scene.views
     known = views.registered & capture.position_sigma.isfinite().all(dim=-1)
     off = (views.center - capture.position)[known] + views.center.new_tensor((0.0, 0.0, lowered))
-    found = {
-        f"position_rms_{unit}": rms(off[:, :2].norm(dim=-1)),
-        f"position_rms_vertical_{unit}": rms(off[:, 2]),
-    }
+    found = {}
+    if len(off):
+        found[f"position_rms_{unit}"] = rms(off[:, :2].norm(dim=-1))
+        found[f"position_rms_vertical_{unit}"] = rms(off[:, 2])
     if scene.interfaces.refract():
         found[f"water_level_{unit}"] = lowered
         if scene.assessment.water_level_sigma is not None:

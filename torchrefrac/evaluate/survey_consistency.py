@@ -1,14 +1,15 @@
 """What the images say against a survey: the warnings of an adjustment."""
 
+import math
+
 import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from torchrefrac.evaluate.consistency import about_given, about_images, listed, named
-from torchrefrac.scene import Capture, Finding, Scene, Survey, WarningCode
+from torchrefrac.evaluate.consistency import VAGUE_DEG, about_given, about_images, listed, named
+from torchrefrac.scene import Finding, Scene, Survey, Surveyed, WarningCode
 from torchrefrac.sfm.gravity import contradicted_gravity, with_common_tilt
-from torchrefrac.sfm.positions import Disagreement, of_centers, of_control
-from torchrefrac.sfm.stated_positions import Positions
+from torchrefrac.sfm.positions import Disagreement, of_centers, surveyed
 from torchrefrac.sfm.vertical import angle_between
 
 
@@ -16,17 +17,21 @@ def survey_contradictions(scene: Scene, survey: Survey, used: Survey) -> tuple[F
     """All of them, those first that others may follow from. `scene`: what came out, with all its views and its
     assessment, the ground control points of the `survey` being its last points; used: what of the survey it was
     adjusted with."""
-    stated = *_gravity(scene, survey), *_positions(scene, survey, used), *_control(scene, survey, used)
+    stated = *_gravity(scene, survey), *_tilt(scene), *position_contradictions(scene, surveyed(scene, survey, used))
     return (*about_given(scene), *stated, *about_images(scene))
 
 
-def position_contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
-    """What a reconstruction says against the positions that its capture states, in whose frame it must be."""
-    if scene.assessment.lowered_by is None:
+def position_contradictions(scene: Scene, known: Surveyed | None) -> tuple[Finding, ...]:
+    """What a scene says against the positions of the survey that it was adjusted with, if it was with one."""
+    if known is None:
         return ()
-    positions = Positions.of(stated).lowered(scene.assessment.lowered_by)
-    survey = positions.survey(scene.views.names)
-    return tuple(_positions(scene, survey, positions.of_most(scene).survey(scene.views.names)))
+    return (*_mistake(known), *_positions(scene, known), *_control(scene, known))
+
+
+def _mistake(known: Surveyed) -> list[Finding]:
+    """What people do that explains why positions do not fit the images."""
+    code = WarningCode.CONTROL_CONTRADICTS if known.stated.control_names else WarningCode.POSITION_CONTRADICTS
+    return [Finding(code, f"{known.mistake}; these positions were not used")] if known.mistake else []
 
 
 def _gravity(scene: Scene, survey: Survey) -> list[Finding]:
@@ -44,23 +49,37 @@ def _gravity(scene: Scene, survey: Survey) -> list[Finding]:
     return [Finding(WarningCode.GRAVITY_CONTRADICTS, message, names)]
 
 
-def _positions(scene: Scene, survey: Survey, used: Survey) -> list[Finding]:
-    off = of_centers(scene, survey)
-    names = tuple(scene.views.names[i] for i in survey.center_image.tolist())
-    left_out = ~torch.isin(survey.center_image, used.center_image)
-    message = _message(off, names, left_out, "center", scene.length_unit)
+def _tilt(scene: Scene) -> list[Finding]:
+    """Whether a normal of the water that was looked for is known well enough."""
+    sigma = math.degrees(scene.assessment.tilt_sigma or 0.0)
+    if sigma <= VAGUE_DEG:
+        return []
+    message = (
+        f"the images show how the water lies to the cameras to {sigma:.1f} degrees only: heights and depths may be off "
+        "by some percent, slopes by as much; give down_in_cam or positions in a survey, or the normal of the plane"
+    )
+    return [Finding(WarningCode.GRAVITY_UNDETERMINED, message)]
+
+
+def _positions(scene: Scene, known: Surveyed) -> list[Finding]:
+    off, image = of_centers(scene, known.stated), known.stated.center_image
+    names = tuple(scene.views.names[i] for i in image.tolist())
+    left_out = ~torch.isin(image, known.used.center_image)
+    message = _message(off, names, left_out, "center", "images", scene.length_unit)
     return [Finding(WarningCode.POSITION_CONTRADICTS, message, named(names, off.contradicted))] if message else []
 
 
-def _control(scene: Scene, survey: Survey, used: Survey) -> list[Finding]:
-    off = of_control(scene, survey)
-    names = tuple(survey.control_names[i] for i in survey.known_control.tolist())
-    left_out = off.deviations.isinf() | ~torch.isin(survey.known_control, used.known_control)
-    message = _message(off, names, left_out, "position or observations", scene.length_unit)
+def _control(scene: Scene, known: Surveyed) -> list[Finding]:
+    off, control = Disagreement(known.distance, known.deviations), known.stated.known_control
+    names = tuple(known.stated.control_names[i] for i in control.tolist())
+    left_out = off.deviations.isinf() | ~torch.isin(control, known.used.known_control)
+    message = _message(off, names, left_out, "position or observations", "marks", scene.length_unit)
     return [Finding(WarningCode.CONTROL_CONTRADICTS, message)] if message else []
 
 
-def _message(off: Disagreement, names: tuple[str, ...], left_out: Bool[Tensor, " k"], what: str, unit: str) -> str:
+def _message(
+    off: Disagreement, names: tuple[str, ...], left_out: Bool[Tensor, " k"], what: str, of: str, unit: str
+) -> str:
     """Which of the names are how far off; nothing where none is."""
     wrong = named(names, off.contradicted)
     if not wrong:
@@ -69,6 +88,6 @@ def _message(off: Disagreement, names: tuple[str, ...], left_out: Bool[Tensor, "
     shown = ", ".join(f"{name}: {distance:.3g} {unit}" for name, distance in [*zip(wrong, far, strict=True)][:3])
     used = "it was used, as no majority agrees" if not bool(left_out.any()) else "what most contradict was not used"
     return (
-        f"{what} of {listed(wrong)} is farther from where the images have it than its sigma explains ({shown}); "
+        f"{what} of {listed(wrong, of)} is farther from where the images have it than its sigma explains ({shown}); "
         f"{used}: check it and its sigma"
     )

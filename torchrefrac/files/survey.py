@@ -16,6 +16,7 @@ from torchrefrac.scene.capture import CaptureError
 from torchrefrac.scene.survey import ControlPoint, Matrix, ScaleBar, Survey, SurveyedImage, SurveyError, resolve
 
 SURVEY = "survey.json"
+"""Its name beside a capture.json."""
 FORMAT = "torchrefrac-survey/1"
 Covariance = Float[Tensor, "3 3"]
 IMAGE_FIELDS = {

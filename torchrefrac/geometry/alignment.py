@@ -26,17 +26,28 @@ class Similarity:
         return cam_from_a @ self.rotation.mT
 
 
-def align_similarity(source: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"]) -> Similarity:
-    """The 7-dof similarity that maps `source` onto `target` (Umeyama, PAMI 1991)."""
-    source_mean, target_mean = source.mean(dim=0), target.mean(dim=0)
-    a, b = source - source_mean, target - target_mean
-    u, singular, vt = torch.linalg.svd(b.mT @ a)
-    sign = singular.new_tensor((1.0, 1.0, 1.0))
-    sign[2] = torch.sign(torch.linalg.det(u) * torch.linalg.det(vt))
-    rotation = u @ torch.diag(sign) @ vt
-    spread = a.square().sum()
-    scale = (singular * sign).sum() / torch.where(spread > 0, spread, torch.ones_like(spread))
-    return Similarity(scale, rotation, target_mean - scale * (rotation @ source_mean))
+def align_similarity(
+    source: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"], weight: Float[Tensor, " n"] | None = None
+) -> Similarity:
+    """The 7-dof similarity that maps `source` onto `target` (Umeyama, PAMI 1991). weight: of each squared distance, by
+    default 1."""
+    return Similarity(*similarity_parts(source, target, torch.ones_like(source[:, 0]) if weight is None else weight))
+
+
+def similarity_parts(
+    source: Float[Tensor, "*batch n 3"], target: Float[Tensor, "*batch n 3"], weight: Float[Tensor, "*#batch n"]
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch 3 3"], Float[Tensor, "*batch 3"]]:
+    """Scales, rotations and translations of the same, of a batch (*B)."""
+    total, weight = weight.sum(dim=-1, keepdim=True), weight[..., None]
+    source_mean, target_mean = ((weight * points).sum(dim=-2) / total for points in (source, target))
+    a, b = source - source_mean[..., None, :], target - target_mean[..., None, :]
+    u, singular, vt = torch.linalg.svd((weight * b).mT @ a)
+    last = torch.sign(torch.linalg.det(u) * torch.linalg.det(vt))
+    sign = torch.stack((torch.ones_like(last), torch.ones_like(last), last), dim=-1)
+    rotation = (u * sign[..., None, :]) @ vt
+    spread = (weight * a.square()).sum(dim=(-2, -1))
+    scale = (singular * sign).sum(dim=-1) / torch.where(spread > 0, spread, torch.ones_like(spread))
+    return scale, rotation, target_mean - scale[..., None] * (rotation @ source_mean[..., None])[..., 0]
 
 
 def align_above_plane(source: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"]) -> Similarity:

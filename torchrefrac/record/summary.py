@@ -35,10 +35,18 @@ def adjustment_lines(metrics: Mapping[str, Any]) -> list[str]:
         *metrics["determined"],
     ]
     lines += [f"not refined: {sentence}" for sentence in metrics["held"].values()]
-    for key, words in LEFT_OUT.items():
-        if key in metrics:
-            lines.append(f"{words}: {', '.join(metrics[key])}")
-    return lines + _against_truth(metrics) + warning_lines(metrics)
+    return lines + _of_survey(metrics) + _against_truth(metrics) + warning_lines(metrics)
+
+
+def _of_survey(metrics: Mapping[str, Any]) -> list[str]:
+    """How ground control fits, and what was left out of what was measured on site."""
+    left_out = [f"{words}: {', '.join(metrics[key])}" for key, words in LEFT_OUT.items() if key in metrics]
+    key = next((key for key in metrics if key.startswith("mark_rms_")), None)
+    if key is None:
+        return left_out
+    unit = key.removeprefix("mark_rms_")
+    count = len(metrics[f"mark_residuals_{unit}"])
+    return [f"{count} ground control points meet {metrics[key]:.3g} {unit} RMS from where they are stated", *left_out]
 
 
 def _against_truth(metrics: Mapping[str, Any]) -> list[str]:
@@ -75,6 +83,7 @@ def reconstruction_lines(metrics: Mapping[str, Any]) -> list[str]:
     if "index_ratio_sigma" in metrics:
         lines.append(f"index ratio {metrics['index_ratio']:.4f} +- {metrics['index_ratio_sigma']:.2g}")
     lines += [f"not refined: {sentence}" for sentence in metrics.get("held", {}).values()]
+    lines += _of_survey(metrics)
     lines += _against_truth(metrics) + (dense_lines(metrics) if "dense_points" in metrics else [])
     return lines + survey_lines(metrics) + warning_lines(metrics)
 

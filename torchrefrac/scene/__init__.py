@@ -16,12 +16,13 @@ from torchrefrac.scene.scene import (
     mean_deviation,
     reprojection_errors,
 )
-from torchrefrac.scene.survey import Survey, SurveyError
+from torchrefrac.scene.survey import Survey, Surveyed, SurveyError, with_measured
 from torchrefrac.scene.tables import Cameras, Observations, Views
 from torchrefrac.scene.truth import Truth, TruthPoints
 
 __all__ = [
     "Assessment", "Cameras", "Capture", "CaptureError", "DenseCloud", "DepthMap", "Finding", "Georeference",
-    "Interfaces", "Observations", "Part", "Raster", "Scene", "SceneError", "Survey", "SurveyError", "Truth",
-    "TruthPoints", "Views", "WarningCode", "WaterExtent", "largest_deviation", "mean_deviation", "reprojection_errors",
+    "Interfaces", "Observations", "Part", "Raster", "Scene", "SceneError", "Survey", "SurveyError", "Surveyed",
+    "Truth", "TruthPoints", "Views", "WarningCode", "WaterExtent", "largest_deviation", "mean_deviation",
+    "reprojection_errors", "with_measured",
 ]  # fmt: skip

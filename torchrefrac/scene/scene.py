@@ -15,6 +15,7 @@ from torchrefrac.scene.capture import Capture
 from torchrefrac.scene.findings import Finding
 from torchrefrac.scene.georeference import Georeference
 from torchrefrac.scene.interfaces import Interfaces
+from torchrefrac.scene.survey import Surveyed
 from torchrefrac.scene.tables import Cameras, Observations, Views
 
 
@@ -44,9 +45,11 @@ class Assessment:
     levels: by how much the water stands higher for some views than for the others, for which it is 0; None where one
     level does for all.
     stopped_after: iterations of the last adjustment, where it stopped before it converged.
-    lowered_by: how much lower than the positions that the capture states the scene stands, in whose frame it is
-    otherwise: by the height of the water there; None: it is in a frame of its own.
+    lowered_by: how much lower than the positions that the capture or the survey states the scene stands, in whose frame
+    it is otherwise: by the height of the water there; None: it is in a frame of its own.
+    tilt_sigma: of the tilt of the water to the cameras, radians, where it was refined; None: it was not.
     water_level_sigma: of the height of the water among the positions; None: it is not known.
+    surveyed: what became of the survey that the scene was adjusted with; None: there was none.
     water_stated: index ratio of water that was stated, but that the images do not show; None: there is none such.
     in_air_and_water: of a scene without refraction, what its typical reprojection error is and would be under water.
     """
@@ -70,6 +73,8 @@ class Assessment:
     stopped_after: int | None = None
     lowered_by: float | None = None
     water_level_sigma: float | None = None
+    surveyed: Surveyed | None = None
+    tilt_sigma: float | None = None
     water_stated: float | None = None
     in_air_and_water: tuple[float, float] | None = None
 

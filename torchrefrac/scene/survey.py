@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.checks import TorchrefracError
+from torchrefrac.scene.capture import Capture
 
 
 class SurveyError(TorchrefracError, ValueError):
@@ -113,6 +114,34 @@ class Survey:
             known_information=weight * self.known_information,
         )
 
+    def lowered(self, by: float) -> "Survey":
+        """The same in a frame whose origin is so much higher."""
+        down = self.center.new_tensor((0.0, 0.0, by))
+        return replace(self, center=self.center - down, known_position=self.known_position - down)
+
+    def beside(self, capture: Capture) -> "Survey":
+        """The same for a capture of the same images that already has the gravity of it: without gravity, and with the
+        positions that the capture states of more images."""
+        known = capture.position_sigma.isfinite().all(dim=-1)
+        known[self.center_image] = False
+        rows = known.nonzero()[:, 0]
+        image = torch.cat((self.center_image, rows))
+        order = image.argsort()
+        information = torch.diag_embed(1.0 / capture.position_sigma[rows].square())
+        return replace(
+            self,
+            down_in_cam=self.down_in_cam[:0],
+            down_sigma=self.down_sigma[:0],
+            down_image=self.down_image[:0],
+            center=torch.cat((self.center, capture.position[rows]))[order],
+            center_information=torch.cat((self.center_information, information))[order],
+            center_image=image[order],
+        )
+
+    def without_waterline(self) -> "Survey":
+        """The same without points on the waterline, of a scene that knows nothing of the water."""
+        return replace(self, waterline_control=self.waterline_control[:0], waterline_sigma=self.waterline_sigma[:0])
+
     def without(self, centers: Bool[Tensor, " c"], control: Bool[Tensor, " p"]) -> "Survey":
         """The same without some of the camera centres and some of the known positions of control points."""
         return replace(
@@ -124,6 +153,46 @@ class Survey:
             known_position=self.known_position[~control],
             known_information=self.known_information[~control],
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Surveyed:
+    """What became of a survey in the adjustment of a scene.
+
+    stated: all of it, in the frame of the scene; used: what the scene was adjusted with. Of its ground control points:
+    control, where they are, and placed, whether they have a place; of those with known positions: off, where the rays
+    of their pixels meet less what is stated (zero where fewer than two meet); distance from what is stated, also in
+    standard deviations of that, after the adjustment (infinitely many where not even their pixels fit there). mistake:
+    that explains why some positions did not fit, which were left out then, in a sentence; empty where there is none.
+    """
+
+    stated: Survey
+    used: Survey
+    control: Float[Tensor, "c 3"]
+    placed: Bool[Tensor, " c"]
+    off: Float[Tensor, "p 3"]
+    distance: Float[Tensor, " p"]
+    deviations: Float[Tensor, " p"]
+    mistake: str = ""
+
+
+def with_measured(capture: Capture, survey: Survey) -> Capture:
+    """The capture with the gravity, the heights and the positions that a survey of the same images has of them."""
+    if not (len(survey.down_image) or len(survey.height_image) or len(survey.center_image)):
+        return capture
+    down, height, center = survey.down_image, survey.height_image, survey.center_image
+    sigma = torch.linalg.inv(survey.center_information).diagonal(dim1=-2, dim2=-1).sqrt()
+    return replace(
+        capture,
+        down_in_cam=capture.down_in_cam.index_copy(0, down, survey.down_in_cam),
+        down_sigma=capture.down_sigma.index_copy(0, down, survey.down_sigma),
+        has_gravity=capture.has_gravity or bool(len(down)),
+        height=capture.height.index_copy(0, height, survey.height),
+        has_height=capture.has_height.index_fill(0, height, True),
+        height_sigma=capture.height_sigma.index_copy(0, height, survey.height_sigma),
+        position=capture.position.index_copy(0, center, survey.center),
+        position_sigma=capture.position_sigma.index_copy(0, center, sigma),
+    )
 
 
 def resolve(

@@ -8,6 +8,7 @@ from torchrefrac.sfm.gravity import with_right_gravity
 from torchrefrac.sfm.incremental import NoInitialPairError, reconstruct_sparse
 from torchrefrac.sfm.outcome import Adjustment, Filtering, Outcome, Registration, Start, Triangulation
 from torchrefrac.sfm.pinhole import PinholeInitializer
+from torchrefrac.sfm.placing import Placed, placed_in_survey, upright
 from torchrefrac.sfm.pose import PairPose, Pose, PoseInitializer
 from torchrefrac.sfm.readjust import readjust
 from torchrefrac.sfm.refractive import RefractiveInitializer
@@ -18,12 +19,14 @@ from torchrefrac.sfm.unmodelled import errors_in_air_and_water, fits_better_in_a
 from torchrefrac.sfm.verification import VerifiedPair, errors_are_rough, verify_pairs
 from torchrefrac.sfm.vertical import UnknownVerticalError, complete_gravity, level_capture
 from torchrefrac.sfm.water_level import with_found_level
+from torchrefrac.sfm.water_normal import with_found_normal
 
 __all__ = [
-    "Adjustment", "Filtering", "NoInitialPairError", "Outcome", "PairPose", "PinholeInitializer", "Pose",
+    "Adjustment", "Filtering", "NoInitialPairError", "Outcome", "PairPose", "PinholeInitializer", "Placed", "Pose",
     "PoseInitializer", "ReadjustOptions", "RefractiveInitializer", "Registration", "Rules", "SfmOptions", "Start",
     "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal", "complete_gravity",
-    "errors_are_rough", "errors_in_air_and_water", "filter_points", "fits_better_in_air", "level_capture", "readjust",
-    "reconstruct_sparse", "register", "start", "triangulate", "verify_pairs", "with_found_level",
-    "with_likely_focals", "with_noise_found", "with_right_gravity",
+    "errors_are_rough", "errors_in_air_and_water", "filter_points", "fits_better_in_air", "level_capture",
+    "placed_in_survey", "readjust", "reconstruct_sparse", "register", "start", "triangulate", "upright",
+    "verify_pairs", "with_found_level", "with_found_normal", "with_likely_focals", "with_noise_found",
+    "with_right_gravity",
 ]  # fmt: skip

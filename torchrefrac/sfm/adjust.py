@@ -1,5 +1,6 @@
 """Bundle adjustment of what is registered and placed, and how well that determines the finished scene."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
@@ -21,6 +22,7 @@ from torchrefrac.bundle import adjust as adjust_bundle
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.observability import coefficients_as_stated
 from torchrefrac.bundle.score import Given
+from torchrefrac.bundle.terms import concerned_points
 from torchrefrac.numerics import typical_deviation
 from torchrefrac.optim import SingularError
 from torchrefrac.recorder import Advance, Recorder
@@ -154,8 +156,9 @@ def common_tilt(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Float[Tens
 
 def _problem(part: Part, rules: Rules, fixed: dict[str, str]) -> BundleProblem:
     """That of adjusting a part, without what an adjustment refused to refine."""
-    layout = Layout.create(part.scene, tuple(name for name in rules.bundle.refine if name not in fixed))
-    return BundleProblem.create(part.scene, layout, rules.bundle, rules.measurements(part))
+    refine, terms = tuple(name for name in rules.bundle.refine if name not in fixed), rules.measurements(part)
+    layout = Layout.create(part.scene, refine, reduced=concerned_points(terms, part.scene.points))
+    return BundleProblem.create(part.scene, layout, rules.bundle, terms)
 
 
 def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Assessment:
@@ -168,6 +171,7 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         return Assessment(fixed=fixed)
     fixed = fixed | coefficients_as_stated(problem.layout, scene.cameras)
     centers = known.pose[:, 3:, 3:]
+    tilts = [each.posterior for each in found if each.name == "plane_tilt" and "plane_tilt" in problem.layout.water]
     wished = [wished_changes(problem, scene, name, known.pixel_sigma).items() for name in GIVEN]
     return Assessment(
         pixel_sigma=known.pixel_sigma,
@@ -185,4 +189,5 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         common_tilt=None if known.common is None else known.common.tilt(len(scene.views)),
         growth=known.growth,
         water_level_sigma=float(known.planes[0, 2]) if "plane_height" in problem.layout.water else None,
+        tilt_sigma=math.radians(tilts[0]) if tilts else None,
     )

@@ -17,6 +17,7 @@ def filter_points(scene: Scene, rules: Rules) -> tuple[Scene, Outcome]:
     rules.min_support observations are left to support are no longer registered; the outcome names them.
     """
     close, seen, registered = scene.errors() < rules.max_error, scene.observations, scene.views.registered
+    alone = torch.as_tensor(rules.min_track_length) < 2  # that one observation is enough for, and no angle
     while True:
         accepted = close & registered[seen.view]
         count = torch.bincount(seen.point[accepted], minlength=len(scene.points))
@@ -26,6 +27,7 @@ def filter_points(scene: Scene, rules: Rules) -> tuple[Scene, Outcome]:
             tracks = Tracks.of(scene, accepted.nonzero()[:, 0])
             placed = torch.zeros_like(placed)
             placed[tracks.ids] = tracks.opening() > rules.min_angle_deg * torch.pi / 180.0
+            placed |= alone & (count > 0)
             accepted &= placed[seen.point]
         lost = registered & (torch.bincount(seen.view[accepted], minlength=len(registered)) < rules.min_support)
         if not bool(lost.any()):

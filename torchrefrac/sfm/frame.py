@@ -11,17 +11,17 @@ from torchrefrac.scene import Capture, Scene
 from torchrefrac.sfm.heights import fit_heights
 
 
-def fix_frame(scene: Scene, capture: Capture) -> Scene:
+def fix_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Scene:
     """The scene in its final frame; see `final_frame`."""
-    return transformed(scene, final_frame(scene, capture)) if scene.views.num_registered else scene
+    return transformed(scene, final_frame(scene, capture, has_scale)) if scene.views.num_registered else scene
 
 
-def final_frame(scene: Scene, capture: Capture) -> Similarity:
+def final_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Similarity:
     """What puts the first registered view at x = y = 0 with heading 0, and scales to the measured heights.
 
     Through water the scale is that of the measured camera heights which agree, see `fit_heights` (or makes the first
-    height 1); plane and vertical stay. Without refraction neither can be seen: the frame is levelled by the mean of the
-    gravity vectors, the first camera put at its height (or 1), and the scale left as it is.
+    height 1), unless the scene has one; plane and vertical stay. Without refraction neither can be seen: the frame is
+    levelled by the mean of the gravity vectors, the first camera put at its height (or 1), and the scale left as it is.
     """
     views = scene.views
     registered = views.registered.nonzero()[:, 0]
@@ -33,11 +33,11 @@ def final_frame(scene: Scene, capture: Capture) -> Similarity:
     center = views.center[registered] @ rotation.T
     measured = capture.has_height[registered]
     scale, lift = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
-    if refractive:
+    if refractive and not has_scale:
         rows = registered[measured]
         stated = capture.height[rows], capture.height_sigma[rows]
         scale = fit_heights(center[measured, 2], *stated).scale if len(rows) else 1.0 / center[0, 2]
-    else:
+    elif not refractive:
         lift = torch.where(measured[0], capture.height[first], 1.0) - center[0, 2]
     shift = torch.stack((-center[0, 0], -center[0, 1], lift))
     return Similarity(scale, rotation, scale * shift)
@@ -48,6 +48,13 @@ def transformed(scene: Scene, change: Similarity) -> Scene:
     which, views = scene.views.registered.nonzero()[:, 0], scene.views
     rotation, center = change.apply_to_rotation(views.rotation[which]), change.apply(views.center[which])
     return replace(scene, views=views.at(rotation, center, which), points=change.apply(scene.points))
+
+
+def moved(scene: Scene, change: Similarity) -> Scene:
+    """Registered views, points and interfaces in another frame."""
+    normal = scene.interfaces.normal @ change.rotation.mT
+    offset = change.scale * scene.interfaces.offset + normal @ change.translation
+    return replace(transformed(scene, change), interfaces=replace(scene.interfaces, normal=normal, offset=offset))
 
 
 def with_water_at_zero(scene: Scene) -> tuple[Scene, float]:
@@ -68,6 +75,12 @@ def mean_level(scene: Scene, capture: Capture) -> Float[Tensor, "3 3"]:
     registered = known if len(known) else registered
     rotation = scene.views.rotation[registered]
     down = (rotation.mT @ capture.down_in_cam[registered][..., None])[..., 0].mean(dim=0)
+    return levelling(down / down.norm())
+
+
+def levelling(down: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+    """Rotation of the world that takes the unit vector `down` to (0, 0, -1): the shortest, after half a turn about x
+    where the world stands on its head."""
     flip = down.new_tensor((1.0, -1.0, -1.0))
     turn = torch.where(down[2] > 0.0, flip, flip.abs())
-    return level_rotation(flip * turn * down / down.norm()).mT * (flip * turn)
+    return level_rotation(flip * turn * down).mT * (flip * turn)

@@ -12,7 +12,7 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.features import Features
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.recorder import Recorder
-from torchrefrac.scene import Capture, Part, Scene
+from torchrefrac.scene import Capture, Part, Scene, Survey
 from torchrefrac.sfm.adjust import (
     Journal,
     Steps,
@@ -33,7 +33,7 @@ from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.pose import PoseInitializer
 from torchrefrac.sfm.register import MIN_INITIAL_POINTS, rank_initial_pairs, register, start, visible_points
 from torchrefrac.sfm.rules import Rules, SfmOptions
-from torchrefrac.sfm.stated_positions import Positions, placed_by_positions
+from torchrefrac.sfm.survey_frame import SurveyFrame, placed_by_survey
 from torchrefrac.sfm.triangulate import triangulate
 from torchrefrac.sfm.verification import VerifiedPair
 
@@ -55,33 +55,39 @@ def reconstruct_sparse(
     recorder: Recorder,
     water: float = 1.0,
     features: Sequence[Features] = (),
+    survey: Survey | None = None,
 ) -> Scene:
     """Views and points from verified pairs and the tracks of `scene`, in which nothing has a place yet.
 
-    Where the capture states positions the scene is adjusted with these and stands in their frame, but with the water at
-    z = 0. water: index ratio of that which may be beside the land, by which a scene without refraction is reconstructed
+    Where the capture or the `survey` states positions the scene is adjusted with these and stands in their frame, but
+    with the water at z = 0; what else the survey has besides gravity, which is that of the capture, takes part too.
+    water: index ratio of that which may be beside the land, by which a scene without refraction is reconstructed
     at first. features: of each image, in which tracks are completed once poses are known; by default they stay as they
     are. Views that cannot be registered are listed in `failures` with the reason. Raises NoInitialPairError when
     there is nothing to start from.
     """
 
-    growth = _Growth(capture, options, initializer, generator, recorder, water, features)
+    stated = (survey or Survey.empty(capture.names)).beside(capture)
+    growth = _Growth(capture, options, initializer, generator, recorder, water, features, stated)
     scene = growth.start(scene, pairs)
     remaining = len(capture) - scene.views.num_registered
     for grown in recorder.track(growth.register_all(scene), remaining, "registering", "image"):
         scene = grown
     scene = growth.finish(scene)
     with recorder.meter(1, "assessing", "") as advance:
-        scene = scene if growth.positions is not None else fix_frame(scene, capture)
+        scene = scene if growth.in_place else fix_frame(scene, capture, growth.frame is not None)
         growth.show(scene)
         rules = growth.final
         assessment = assess_scene(scene, rules, growth.fixed)
         sides = growth.sides(scene)
         if sides is not None:
             assessment = replace(assessment, disputed=disputed(scene, rules, sides))
+        if growth.frame is not None:
+            scene, surveyed = growth.frame.parted(scene)
+            assessment = replace(assessment.of_points(torch.arange(len(scene.part().point))), surveyed=surveyed)
         assessment = with_levels(assessment, scene, rules, growth.fixed)
         advance(1, "")
-    level = None if growth.positions is None else growth.positions.level
+    level = None if growth.frame is None else growth.frame.level
     assessment = replace(assessment, stopped_after=growth.stopped_after, lowered_by=level)
     return replace(scene.trimmed(), failures=growth.failures, assessment=assessment)
 
@@ -98,25 +104,31 @@ class _Growth:
         recorder: Recorder,
         water: float,
         features: Sequence[Features],
+        survey: Survey,
     ) -> None:
         self.capture, self.options, self.recorder = capture, options, recorder
-        self.water, self.features = water, features
+        self.water, self.features, self.survey = water, features, survey
         self.rules = options.rules(initializer, self.measured, generator)
         self.final = self.rules  # with the noise and the errors that the last adjustment has shown
         self.down_sigma = capture.down_sigma  # infinite where gravity turns out to be wrong
-        self.positions: Positions | None = None
+        self.frame: SurveyFrame | None = None
         self.failures: dict[str, str] = {}
         self.fixed: dict[str, str] = {}
         self.stopped_after: int | None = None
         self._refused: dict[int, int] = {}  # views that could not be registered, and the points they saw then
         self.journal = Journal(recorder)
 
+    @property
+    def in_place(self) -> bool:
+        """Whether the scene stands in the frame of the survey."""
+        return self.frame is not None and self.frame.level is not None
+
     def measured(self, part: Part) -> Sequence[Term]:
-        """Gravity where there is something to see the vertical by, and positions, once the scene is in their frame."""
+        """Gravity where there is something to see the vertical by, and the survey, once the scene is in its frame."""
         terms: list[Term] = []
-        if part.scene.interfaces.refract() or self.positions is not None:
+        if part.scene.interfaces.refract() or self.in_place:
             terms.append(GravityPrior(self.capture.down_in_cam[part.view], self.down_sigma[part.view]))
-        return terms if self.positions is None else [*terms, *self.positions.terms(part)]
+        return terms if self.frame is None else [*terms, *self.frame.terms(part)]
 
     def start(self, empty: Scene, pairs: Sequence[VerifiedPair]) -> Scene:
         for pair in rank_initial_pairs(pairs, self.options):
@@ -189,39 +201,43 @@ class _Growth:
             most = 2 * int((unknown & scene.views.registered).sum()) > scene.views.num_registered
             self.down_sigma = torch.where(unknown | most, torch.inf, self.down_sigma)
             scene = self._converged(scene, rules)
-        scene = self._with_positions(scene, length)
+        scene = self._with_survey(scene, length)
         scene = self._with_water(scene, length)
-        return self._with_dry(scene, replace(self.rules, min_track_length=length, max_error=self.final.max_error))
+        return self._with_dry(scene, replace(self._needing(length), max_error=self.final.max_error))
 
-    def _with_positions(self, scene: Scene, length: int) -> Scene:
-        """Adjusted with the positions that are stated, the height of the water among these being what images say."""
-        found = placed_by_positions(scene, self.capture)
+    def _with_survey(self, scene: Scene, length: int) -> Scene:
+        """Adjusted with what was surveyed, the height of the water among it being what images say."""
+        found = placed_by_survey(scene, self.capture, self.survey)
         if found is None:
             return scene
-        scene, positions = found
-        self.positions = positions.of_most(scene)
-        if scene.interfaces.refract():
+        scene, self.frame = found
+        if scene.interfaces.refract() and self.in_place:
             self.rules = replace(self.rules, bundle=_with_height(self.rules.bundle))
-        return self._at_zero(self._converged(scene, replace(self.rules, min_track_length=length)))
+        return self._at_zero(self._converged(scene, self._needing(length)))
+
+    def _needing(self, length: int) -> Rules:
+        """Rules by which a point needs so many observations, unless it is a ground control point."""
+        lengths = length if self.frame is None else self.frame.lengths(length)
+        return replace(self.rules, min_track_length=lengths)
 
     def _with_water(self, scene: Scene, length: int) -> Scene:
         """A scene of land with the water beside it, where there is any."""
         if self.water <= 1.0 or scene.interfaces.refract():
             return scene
-        level = scene if self.positions is not None else fix_frame(scene, self.capture)
+        level = scene if self.in_place else fix_frame(scene, self.capture, self.frame is not None)
         found = flooded(level, self.water, self.final)
         if found is None:
             return scene
-        if self.positions is not None:
+        if self.in_place:
             self.rules = replace(self.rules, bundle=_with_height(self.rules.bundle))
-        return self._at_zero(self._converged(self._at_zero(found), replace(self.rules, min_track_length=length)))
+        return self._at_zero(self._converged(self._at_zero(found), self._needing(length)))
 
     def _at_zero(self, scene: Scene) -> Scene:
-        """With the water at z = 0, and positions likewise."""
+        """With the water at z = 0, and the survey likewise."""
         if not scene.interfaces.refract():
             return scene
         scene, by = with_water_at_zero(scene)
-        self.positions = self.positions and self.positions.lowered(by)
+        self.frame = self.frame and self.frame.lowered(by)
         return scene
 
     def _with_dry(self, scene: Scene, rules: Rules) -> Scene:
@@ -238,8 +254,8 @@ class _Growth:
         extent = self.capture.water_extent
         if extent is None:
             return None
-        in_place = self.positions is not None
-        return stated_sides(scene, extent, None if in_place else final_frame(scene, self.capture))
+        final = None if self.in_place else final_frame(scene, self.capture, self.frame is not None)
+        return stated_sides(scene, extent, final)
 
     def _converged(self, scene: Scene, rules: Rules) -> Scene:
         """Points and observations judged and everything adjusted, in turn, until little changes any more."""

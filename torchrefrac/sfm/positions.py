@@ -7,9 +7,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.geometry import align_similarity
-from torchrefrac.scene import Scene, Survey
+from torchrefrac.scene import Scene, Survey, Surveyed
 from torchrefrac.sfm.gravity import unlikely
 from torchrefrac.sfm.rules import Rules
+from torchrefrac.sfm.stated_places import StatedPlaces
 from torchrefrac.sfm.triangulate import triangulate
 
 FEWEST = 4
@@ -47,11 +48,27 @@ def of_control(scene: Scene, survey: Survey) -> Disagreement:
     ids = len(scene.points) - len(survey.control_names) + survey.known_control
     lost = ~scene.placed[ids] & (scene.sightings()[ids] >= 2)
     wanted = torch.zeros_like(scene.placed).index_fill(0, ids[lost], True)
-    met, _ = triangulate(scene, replace(Rules(), max_error=torch.inf, min_angle_deg=0.0), wanted)
+    met = with_meeting_points(scene, wanted)
     known = met.placed[ids]
     error = torch.where(known[:, None], met.points[ids] - survey.known_position, 0.0)
     found = _disagreement(error, survey.known_information)
     return replace(found, deviations=torch.where(lost & known, torch.inf, found.deviations))
+
+
+def with_meeting_points(scene: Scene, wanted: Bool[Tensor, " n"]) -> Scene:
+    """The scene with the points `wanted` where all their rays meet, however badly; those that fewer than two registered
+    views see have no place."""
+    return triangulate(scene, replace(Rules(), max_error=torch.inf, min_angle_deg=0.0), wanted)[0]
+
+
+def surveyed(scene: Scene, stated: Survey, used: Survey) -> Surveyed:
+    """What became of a survey, of which `used` took part, in the scene, whose last points are its control points."""
+    ties, control = len(scene.points) - len(stated.control_names), of_control(scene, stated)
+    met = with_meeting_points(scene, torch.arange(len(scene.points)) >= ties)
+    ids = ties + stated.known_control
+    off = torch.where(met.placed[ids, None], met.points[ids] - stated.known_position, 0.0)
+    where = scene.points[ties:], scene.placed[ties:]
+    return Surveyed(stated, used, *where, off, control.distance, control.deviations)
 
 
 def without_contradicted(scene: Scene, survey: Survey) -> Survey:
@@ -61,17 +78,13 @@ def without_contradicted(scene: Scene, survey: Survey) -> Survey:
     are aligned with those stated by a similarity. The one without which the others agree best is left out where it is
     too far off their alignment, and so on with these as long as most stay.
     """
-    ids = len(scene.points) - len(survey.control_names) + survey.known_control
-    found = torch.cat((scene.views.center[survey.center_image], scene.points[ids]))
-    stated = torch.cat((survey.center, survey.known_position))
-    information = torch.cat((survey.center_information, survey.known_information))
-    known = torch.cat((scene.views.registered[survey.center_image], scene.placed[ids]))
+    places = StatedPlaces.of(scene, survey)
+    found, stated, known = places.found, places.stated, places.known
     accepted, least = known.clone(), max(FEWEST, (int(known.sum()) + 2) // 2)
 
     def off(accepted: Bool[Tensor, " k"]) -> Float[Tensor, " k"]:
         """Deviations from the alignment of those that are accepted."""
-        aligned = align_similarity(found[accepted], stated[accepted]).apply(found)
-        return _disagreement(aligned - stated, information).deviations
+        return places.deviations(align_similarity(found[accepted], stated[accepted]))
 
     while int(accepted.sum()) > least:
         worst = torch.where(accepted, off(accepted), 0.0).topk(CANDIDATES).indices.tolist()
@@ -84,8 +97,8 @@ def without_contradicted(scene: Scene, survey: Survey) -> Survey:
         if float(others[candidate]) <= max(unlikely(int(fewer.sum()), 3), usual):
             break
         accepted = fewer
-    out, cameras = known & ~accepted, len(survey.center)
-    return survey.without(out[:cameras], out[cameras:]) if bool(out.any()) else survey
+    out = known & ~accepted
+    return survey.without(out[: places.cameras], out[places.cameras :]) if bool(out.any()) else survey
 
 
 def _disagreement(error: Float[Tensor, "k 3"], information: Float[Tensor, "k 3 3"]) -> Disagreement:

@@ -11,6 +11,7 @@ from torchrefrac.bundle.rows import IMPOSSIBLE_PX
 from torchrefrac.optim import robust
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Scene, Survey
+from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.readjust import Work
 from torchrefrac.sfm.rules import ReadjustOptions
 
@@ -33,7 +34,7 @@ def with_found_level(
     """
     options, recorder = options or ReadjustOptions(), recorder or SilentRecorder()
     tried = _tried_levels(scene, survey, options, recorder)
-    costs = [_cost(adjusted, options.max_error) for _, adjusted in tried]
+    costs = [misfit(adjusted, options.max_error) for _, adjusted in tried]
     moved = [float((after.views.center - scene.views.center).norm(dim=-1).median()) for _, after in tried]
     good = [i for i, cost in enumerate(costs) if cost <= AS_GOOD * min(costs)]
     return tried[min(good, key=moved.__getitem__)][0]
@@ -43,22 +44,28 @@ def at_best_level(scene: Scene, survey: Survey, options: ReadjustOptions) -> Sce
     """The scene after a short adjustment from the height, of those tried, that then fits the images best. Raises what
     `with_found_level` raises."""
     tried = _tried_levels(scene, survey, options, SilentRecorder())
-    return min((adjusted for _, adjusted in tried), key=lambda adjusted: _cost(adjusted, options.max_error))
+    return min((adjusted for _, adjusted in tried), key=lambda adjusted: misfit(adjusted, options.max_error))
 
 
 def _tried_levels(
     scene: Scene, survey: Survey | None, options: ReadjustOptions, recorder: Recorder
 ) -> list[tuple[Scene, Scene]]:
     """The scene with its surface at each height that is tried, and what a short adjustment makes of it."""
+    tried = [replace(scene, interfaces=replace(scene.interfaces, offset=at[None])) for at in candidate_offsets(scene)]
+    every = survey or Survey.empty(scene.views.names)
+    return [
+        (candidate, short_adjustment(candidate, every, options)[0])
+        for candidate in recorder.track(tried, len(tried), "water level", "height")
+    ]
+
+
+def short_adjustment(scene: Scene, survey: Survey, options: ReadjustOptions) -> tuple[Scene, Outcome]:
+    """The first adjustment of `readjust`, of a few iterations."""
     bundle = options.bundle
     short = replace(bundle, solver=replace(bundle.solver, max_iterations=min(ITERATIONS, bundle.solver.max_iterations)))
-    work = Work(scene, survey or Survey.empty(scene.views.names), replace(options, bundle=short), None)
-    tried = [replace(scene, interfaces=replace(scene.interfaces, offset=at[None])) for at in candidate_offsets(scene)]
-    found = []
-    for candidate in recorder.track(tried, len(tried), "water level", "height"):
-        start = work.start(candidate)
-        found.append((candidate, work.adjust(start, work.first(start))[0]))
-    return found
+    work = Work(scene, survey, replace(options, bundle=short), None)
+    start = work.start(scene)
+    return work.adjust(start, work.first(start))
 
 
 def candidate_offsets(scene: Scene) -> Float[Tensor, " k"]:
@@ -79,6 +86,6 @@ def candidate_offsets(scene: Scene) -> Float[Tensor, " k"]:
     return every[every < lowest].sort().values
 
 
-def _cost(scene: Scene, scale: float) -> float:
+def misfit(scene: Scene, scale: float) -> float:
     """Of all observations, those of points without a position as if impossible."""
     return float(robust(scene.errors().clamp(max=IMPOSSIBLE_PX).square(), "cauchy", scale)[0].sum())

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from torchrefrac.files.colmap import tables
-from torchrefrac.files.colmap.tables import AGAIN, CameraRow, ImageTable, PointTable
+from torchrefrac.files.colmap.tables import AGAIN, CameraRow, Ids, ImageTable, PointTable
 from torchrefrac.geometry import Rigid, rotate
 from torchrefrac.geometry.rotation import quaternion_of
 from torchrefrac.scene import Cameras, Interfaces, Observations, Scene, SceneError
@@ -146,8 +146,10 @@ def _ranks(order: Rows) -> Rows:
     return ranks
 
 
-def tables_of(scene: Scene, errors: Float[Tensor, "..."] | None) -> tuple[list[CameraRow], ImageTable, PointTable]:
-    """The content of the files, with ids that count from 1: of registered views."""
+def tables_of(
+    scene: Scene, errors: Float[Tensor, "..."] | None, ids: Ids | None
+) -> tuple[list[CameraRow], ImageTable, PointTable]:
+    """The content of the files, of registered views, with these ids, or ids that count from 1."""
     scene, n = scene.of_views(scene.views.registered), len(scene.points)
     views, m = scene.views, len(scene.views)
     if errors is None:
@@ -157,13 +159,15 @@ def tables_of(scene: Scene, errors: Float[Tensor, "..."] | None) -> tuple[list[C
     image, point = _array(scene.observations.view), _array(scene.observations.point)
     by_image = np.argsort(image, kind="stable")
     starts = np.concatenate(([0], np.cumsum(np.bincount(image, minlength=m))))
+    image_id = np.array([ids.images[name] for name in views.names] if ids else range(1, m + 1), dtype=np.int64)
+    camera_id = np.array(ids.cameras if ids else range(1, len(scene.cameras) + 1), dtype=np.int64)
     quaternion = quaternion_of(views.rotation.detach().double())
     images = ImageTable(
         names=views.names,
-        ids=np.arange(1, m + 1),
+        ids=image_id,
         quaternions=_array(quaternion),
         translations=_array(-rotate(_rotation_of(quaternion), views.center.detach().double())),
-        cameras=_array(views.camera) + 1,
+        cameras=camera_id[_array(views.camera)],
         starts=starts,
         pixels=_array(scene.observations.pixels.double())[by_image],
         points=point[by_image] + 1,
@@ -174,12 +178,12 @@ def tables_of(scene: Scene, errors: Float[Tensor, "..."] | None) -> tuple[list[C
         colors=_array(scene.colors),
         errors=_array(errors.double()),
         lengths=np.bincount(point, minlength=n),
-        images=image + 1,
+        images=image_id[image],
         features=_ranks(by_image) - starts[image],
     )
     cameras = scene.cameras
     models = cameras.read_as or ("",) * len(cameras)
-    rows = [tables.row_of(cameras[i], i + 1, model) for i, model in enumerate(models)]
+    rows = [tables.row_of(cameras[i], int(camera_id[i]), model) for i, model in enumerate(models)]
     return rows, images, points
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from types import ModuleType
 
 from jaxtyping import Float
 from torch import Tensor
@@ -11,7 +12,7 @@ from torchrefrac.atomic import replacing
 from torchrefrac.files.colmap import binary as binary_files
 from torchrefrac.files.colmap import text as text_files
 from torchrefrac.files.colmap.assembly import assemble, tables_of
-from torchrefrac.files.colmap.tables import AGAIN
+from torchrefrac.files.colmap.tables import AGAIN, Ids
 from torchrefrac.scene import Scene, SceneError
 
 STEMS = ("cameras", "images", "points3D")
@@ -46,23 +47,29 @@ def read_colmap(folder: str | Path) -> Scene:
     a number that is not finite, a quaternion of zero length, or a camera model other than SIMPLE_PINHOLE, PINHOLE,
     SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV and OPENCV_FISHEYE.
     """
-    folder = Path(folder)
-    found = find_colmap(folder)
-    if found is None:
-        raise SceneError(_what_is_missing(folder))
-    place, ending = found
-    cameras, images, points = (place / f"{stem}{ending}" for stem in STEMS)
-    files = binary_files if ending == ".bin" else text_files
+    files, (cameras, images, points) = _files(Path(folder))
     tables = files.read_cameras(cameras), files.read_images(images), files.read_points(points)
     return assemble(*tables, cameras, images, points)
 
 
-def write_colmap(
-    scene: Scene, folder: str | Path, binary: bool = False, errors: Float[Tensor, "..."] | None = None
-) -> None:
-    """Write cameras, images and points3D of a finished scene, as text or binary files; ids count from 1 in the order of
-    its cameras, registered views and points. Its water has no place in them.
+def read_ids(folder: str | Path) -> Ids:
+    """What the model that `read_colmap` reads there calls its images and cameras. Raises the same."""
+    files, (_, path, _) = _files(Path(folder))
+    images = files.read_images(path)
+    return Ids(dict(zip(images.names, images.ids.tolist(), strict=True)), tuple(sorted(set(images.cameras.tolist()))))
 
+
+def write_colmap(
+    scene: Scene,
+    folder: str | Path,
+    binary: bool = False,
+    errors: Float[Tensor, "..."] | None = None,
+    ids: Ids | None = None,
+) -> None:
+    """Write cameras, images and points3D of a finished scene, as text or binary files. Its water has no place in them.
+
+    ids: of images and cameras, as in the model that the scene was read from; by default they count from 1, as those of
+    points do, in the order of its cameras, registered views and points.
     `errors`: the reprojection error of each point in pixels, which the files have a place for; -1 (unknown) by default.
     Cameras keep the model that they were read as, where it holds their numbers; others become OPENCV_FISHEYE, PINHOLE
     where the distortion is zero, OPENCV where k3 is, else FULL_OPENCV. All numbers survive to the last bit except
@@ -76,7 +83,7 @@ def write_colmap(
     stale = [name for name in others if (folder / name).exists()]
     if stale:
         raise SceneError(f"{folder} holds {', '.join(stale)} of another model; give an empty folder, or remove them")
-    cameras, images, points = tables_of(scene, errors)
+    cameras, images, points = tables_of(scene, errors, ids)
     for name in images.names:
         if not name or "\0" in name:
             raise SceneError(f"an image has the name {name!r}, which a COLMAP model cannot hold; rename it")
@@ -86,6 +93,15 @@ def write_colmap(
         files.write_cameras(cameras, paths[0])
         files.write_images(images, paths[1])
         files.write_points(points, paths[2])
+
+
+def _files(folder: Path) -> tuple[ModuleType, list[Path]]:
+    """How the files of a model in a folder are read, and where they are, in the order of STEMS."""
+    found = find_colmap(folder)
+    if found is None:
+        raise SceneError(_what_is_missing(folder))
+    place, ending = found
+    return binary_files if ending == ".bin" else text_files, [place / f"{stem}{ending}" for stem in STEMS]
 
 
 def _what_is_missing(folder: Path) -> str:

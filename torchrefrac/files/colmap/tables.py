@@ -1,5 +1,6 @@
 """What the files of a COLMAP model hold, before the ids are resolved; and the camera models among them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,6 +75,14 @@ class PointTable:
     lengths: Int[np.ndarray, " n"]
     images: Int[np.ndarray, " k"]
     features: Int[np.ndarray, " k"]
+
+
+@dataclass(frozen=True)
+class Ids:
+    """What a model calls its images, by name, and its cameras, in the order of a scene that was read from it."""
+
+    images: Mapping[str, int]
+    cameras: tuple[int, ...]
 
 
 def parameter_count(model: str, camera: int, path: Path) -> int:

@@ -1,0 +1,32 @@
+"""What metrics.json says of a survey that a scene was adjusted with."""
+
+from typing import Any
+
+from torchrefrac.evaluate.metrics import rms
+from torchrefrac.scene import Surveyed
+
+
+def survey_metrics(known: Surveyed | None, unit: str, level: float = 0.0) -> dict[str, Any]:
+    """Where the ground control points are, in the frame of the survey, which is `level` lower than that of the scene;
+    how far the places where the rays of their pixels meet are from those that are stated; and what was left out.
+
+    With UNIT the length unit: marks, positions by name; mark_residuals_UNIT, differences [x, y, z] by name, and
+    mark_rms_UNIT, of their lengths; lost_marks: those that do not fit, or are not seen; images_only_in_survey.
+    """
+    if known is None:
+        return {}
+    stated, up = known.stated, known.control.new_tensor((0.0, 0.0, level))
+    where, placed = (known.control + up).tolist(), known.placed.tolist()
+    control = list(zip(stated.control_names, where, placed, strict=True))
+    compared = {
+        stated.control_names[i]: off for i, off in zip(stated.known_control.tolist(), known.off.tolist(), strict=True)
+    }
+    found: dict[str, Any] = {
+        "marks": {name: position for name, position, there in control if there},
+        f"mark_residuals_{unit}": compared,
+        "lost_marks": [*(name for name, _, there in control if not there), *stated.skipped_controls],
+        "images_only_in_survey": list(stated.skipped),
+    }
+    if compared:
+        found[f"mark_rms_{unit}"] = rms(known.off.norm(dim=-1))
+    return {name: value for name, value in found.items() if value}

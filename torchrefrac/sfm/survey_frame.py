@@ -1,0 +1,127 @@
+"""What was measured on site, once all views have a place: positions of cameras (as of satellites) and of ground control
+give the finished scene its place, its heading and its scale, or scale bars its scale alone; then all of it takes part
+in the adjustment with its errors."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor
+
+from torchrefrac.bundle import Term
+from torchrefrac.geometry import Similarity
+from torchrefrac.scene import Capture, Part, Scene, Survey, Surveyed
+from torchrefrac.sfm.control import survey_terms, with_control
+from torchrefrac.sfm.frame import fix_frame, mean_level, transformed
+from torchrefrac.sfm.positions import surveyed, with_meeting_points, without_contradicted
+from torchrefrac.sfm.stated_places import StatedPlaces
+
+FEWEST = 3
+
+
+@dataclass(frozen=True, eq=False)
+class SurveyFrame:
+    """Of a scene whose points after the first `ties` are the ground control points of a survey: stated, all that was
+    measured, in the frame of the scene; used: without what most others contradict; level: by how much the frame of the
+    scene is higher than that of the survey; None: it is a frame of its own, in the unit of the survey. mistake: see
+    `Surveyed`."""
+
+    stated: Survey
+    used: Survey
+    ties: int
+    level: float | None = 0.0
+    mistake: str = ""
+
+    def lowered(self, by: float) -> "SurveyFrame":
+        """The same with the water so much higher."""
+        level = None if self.level is None else self.level + by
+        return replace(self, stated=self.stated.lowered(by), used=self.used.lowered(by), level=level)
+
+    def terms(self, part: Part) -> Sequence[Term]:
+        """What was measured of a part of the scene."""
+        return survey_terms(self.used, part, self.ties)
+
+    def lengths(self, of_ties: int) -> Int[Tensor, " n"]:
+        """Observations that points need: so many, and control points 2, or 1 where their position is known."""
+        length = torch.full((self.ties + len(self.used.control_names),), of_ties)
+        length[self.ties :] = 2
+        return length.index_fill(0, self.ties + self.used.known_control, 1)
+
+    def parted(self, scene: Scene) -> tuple[Scene, Surveyed]:
+        """The scene without its ground control points, and what became of the survey."""
+        tied, ties = scene.observations.point < self.ties, torch.arange(self.ties)
+        tied_scene = replace(
+            scene,
+            points=scene.points[ties],
+            colors=scene.colors[ties],
+            placed=scene.placed[ties],
+            dry=None if scene.dry is None else scene.dry[ties],
+            observations=scene.observations[tied],
+            accepted=scene.accepted[tied],
+        )
+        return tied_scene, replace(surveyed(scene, self.stated, self.used), mistake=self.mistake)
+
+
+def placed_by_survey(scene: Scene, capture: Capture, survey: Survey) -> tuple[Scene, SurveyFrame] | None:
+    """The scene in the frame of the positions of a survey, with its ground control points as the last points; in it the
+    water stays the plane z = 0. Where only scale bars are known, or points on the waterline, it stays where it is, but
+    has their unit.
+
+    None where nothing is known of that, or too few positions that lie too close together for their errors. Through
+    water the vertical of the scene counts, and without refraction that of the gravity measured: heading, scale and
+    place follow from a horizontal similarity, whichever few positions are wrong, and the height from the mean.
+    """
+    ties, refractive = len(scene.points), scene.index_ratio > 1.0
+    survey = survey if refractive else survey.without_waterline()
+    every = with_control(scene, survey)
+    every = with_meeting_points(every, torch.arange(len(every.points)) >= ties) if len(survey.control_names) else every
+    level = torch.eye(3, dtype=torch.float64) if refractive else mean_level(scene, capture)
+    places = StatedPlaces.of(every, survey)
+    places = places[places.known]
+    mistake = places.mistake(level)
+    if mistake is not None:
+        survey = survey.without(*_all_positions(survey, cameras=mistake.of_cameras))
+        places = places[~places.of_control & ~torch.tensor(mistake.of_cameras)]
+    why = "" if mistake is None else mistake.sentence
+    found = places.level_similarity(level) if len(places) >= FEWEST else None
+    if found is None:
+        return _scaled(every, capture, survey, ties, why)
+    change, height = found[0], float(found[0].translation[2]) if refractive else 0.0
+    lowered = survey.lowered(height)
+    shift = change.translation - change.translation.new_tensor((0.0, 0.0, height))
+    every = transformed(every, replace(change, translation=shift))
+    frame = SurveyFrame(lowered, without_contradicted(every, lowered), ties, height, why)
+    return _with_known(every, frame), frame
+
+
+def _scaled(
+    scene: Scene, capture: Capture, survey: Survey, ties: int, mistake: str
+) -> tuple[Scene, SurveyFrame] | None:
+    """The scene in a frame of its own, in the unit of the scale bars, with what does not depend on a frame."""
+    if len(survey.known_control) and not mistake:
+        mistake = f"positions of the survey do not say where the scene is: give {FEWEST} or more that are apart"
+    survey = survey.without(*_all_positions(survey, cameras=True))
+    if not (mistake or len(survey.bar_length) or len(survey.waterline_control)):
+        return None
+    scene = fix_frame(scene, capture)
+    apart = (scene.points[ties + survey.bar_to] - scene.points[ties + survey.bar_from]).norm(dim=-1)
+    known = scene.placed[ties + survey.bar_to] & scene.placed[ties + survey.bar_from]
+    if bool(known.any()):
+        scale = (survey.bar_length / apart)[known].median()
+        scene = transformed(scene, Similarity(scale, torch.eye(3).to(scale), scale.new_zeros(3)))
+    return scene, SurveyFrame(survey, survey, ties, None, mistake)
+
+
+def _all_positions(survey: Survey, cameras: bool) -> tuple[Bool[Tensor, " c"], Bool[Tensor, " p"]]:
+    """Masks of the positions of all ground control points, and of all cameras where these are wanted, too."""
+    centers = torch.full((len(survey.center),), cameras)
+    return centers, torch.ones(len(survey.known_control), dtype=torch.bool)
+
+
+def _with_known(scene: Scene, frame: SurveyFrame) -> Scene:
+    """With control points that a single view sees where they are stated to be."""
+    ids = frame.ties + frame.used.known_control
+    alone = (scene.sightings()[ids] == 1) & ~scene.placed[ids]
+    points = scene.points.index_copy(0, ids[alone], frame.used.known_position[alone])
+    return replace(scene, points=points, placed=scene.placed.index_fill(0, ids[alone], True))
