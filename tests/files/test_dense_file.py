@@ -7,7 +7,7 @@ import pytest
 import torch
 import trimesh
 
-from torchrefrac.files.dense import load_dense, load_depth_map, write_dense, write_depth_map
+from torchrefrac.files.dense import DenseFile, load_dense, load_depth_map, write_dense, write_depth_map
 from torchrefrac.files.ply import DenseFileError, read_vertices, write_vertices
 from torchrefrac.scene.dense import DenseCloud, DepthMap
 
@@ -124,6 +124,20 @@ def test_properties_may_stand_in_any_order_and_type_among_others(tmp_path, make_
     for field in fields(cloud):
         if field.name != "length_unit":
             assert torch.equal(getattr(one, field.name), getattr(other, field.name))
+
+
+def test_of_a_cloud_that_stays_in_its_file_some_points_are_read(tmp_path, make_cloud):
+    write_dense(make_cloud(50), tmp_path / "dense.ply")
+    whole, file = load_dense(tmp_path / "dense.ply"), DenseFile(tmp_path / "dense.ply")
+    rows = torch.tensor([3, 49, 0])
+
+    assert (len(file), file.length_unit) == (50, "m")
+    for field in fields(whole):
+        assert field.name == "length_unit" or torch.equal(
+            getattr(file[rows], field.name), getattr(whole[rows], field.name)
+        )
+    with pytest.raises(DenseFileError, match=r"none\.ply cannot be read"):
+        DenseFile(tmp_path / "none.ply")
 
 
 def test_a_cloud_without_sigmas_along_axes_takes_its_sigma(tmp_path, make_cloud):

@@ -8,7 +8,7 @@ import torch
 
 from tests.files.rasters import raster_of
 from torchrefrac.dense.rasterize import rasterize
-from torchrefrac.files.geotiff import require_geotiff, write_bands, write_image
+from torchrefrac.files.geotiff import Place, band_file, color_file, require_geotiff
 from torchrefrac.scene import DenseCloud
 
 rasterio = pytest.importorskip("rasterio")
@@ -25,7 +25,8 @@ def raster():
 
 
 def test_bands_have_names_units_and_values_where_they_are(tmp_path, raster):
-    write_bands({"height": raster.height, "sigma": raster.sigma}, tmp_path / "dsm.tif", raster, "m", "EPSG:32633")
+    with band_file(tmp_path / "dsm.tif", ("height", "sigma"), Place.of(raster, "EPSG:32633"), "m") as file:
+        file.write((raster.height, raster.sigma), raster.valid, 0, 0)
 
     assert [path.name for path in tmp_path.iterdir()] == ["dsm.tif"]
     with rasterio.open(tmp_path / "dsm.tif") as file:
@@ -46,7 +47,10 @@ def test_bands_have_names_units_and_values_where_they_are(tmp_path, raster):
 def test_files_are_cloud_optimised_with_overviews(tmp_path, draw):
     large = raster_of(draw.normal(1200, 1500), y_north=1200.0)
 
-    write_bands({"height": large.height}, tmp_path / "dsm.tif", large)
+    with band_file(tmp_path / "dsm.tif", ("height",), Place.of(large)) as file:
+        for row in range(0, 1200, 700):
+            part = slice(row, row + 700)
+            file.write((large.height[part],), large.valid[part], row, 0)
 
     with rasterio.open(tmp_path / "dsm.tif") as file:
         assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
@@ -58,7 +62,8 @@ def test_files_are_cloud_optimised_with_overviews(tmp_path, draw):
 
 
 def test_a_picture_is_transparent_where_there_is_no_surface(tmp_path, raster):
-    write_image(raster.colors, tmp_path / "orthophoto.tif", raster, "EPSG:32633+5773")
+    with color_file(tmp_path / "orthophoto.tif", Place.of(raster, "EPSG:32633+5773")) as file:
+        file.write_colors(raster.colors, raster.valid, 0, 0)
 
     with rasterio.open(tmp_path / "orthophoto.tif") as file:
         assert [interpretation.name for interpretation in file.colorinterp] == ["red", "green", "blue", "alpha"]
@@ -69,11 +74,17 @@ def test_a_picture_is_transparent_where_there_is_no_surface(tmp_path, raster):
 
 
 def test_what_cannot_be_written_is_refused_by_name(tmp_path, raster):
-    with pytest.raises(ValueError, match="crs is 'Atlantis', which is no coordinate reference system"):
-        write_bands({"height": raster.height}, tmp_path / "dsm.tif", raster, crs="Atlantis")
-    empty = rasterize(DenseCloud.empty("m"))
-    with pytest.raises(ValueError, match=r"dsm\.tif has no cells"):
-        write_bands({"height": empty.height}, tmp_path / "dsm.tif", empty)
+    path, atlantis = tmp_path / "dsm.tif", Place.of(raster, "Atlantis")
+    with (
+        pytest.raises(ValueError, match="crs is 'Atlantis', which is no coordinate reference system"),
+        band_file(path, ("height",), atlantis),
+    ):
+        pass
+    empty = Place.of(rasterize(DenseCloud.empty("m")))
+    with pytest.raises(ValueError, match=r"dsm\.tif has no cells"), band_file(path, ("height",), empty):
+        pass
+    with pytest.raises(KeyboardInterrupt), band_file(path, ("height",), Place.of(raster)):
+        raise KeyboardInterrupt
     assert not list(tmp_path.iterdir())
 
 

@@ -1,5 +1,7 @@
 """What surveyors take from a run: clouds and rasters on the map, with heights in the datum and their uncertainty."""
 
+from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,11 +13,12 @@ from torch import Tensor
 from torchrefrac.config import DenseOutputs, OptionError
 from torchrefrac.dense.images import Images, photographs
 from torchrefrac.dense.orthophoto import orthophoto
-from torchrefrac.dense.rasterize import raster_of
+from torchrefrac.dense.rasterize import Points, grid_of, raster_of
 from torchrefrac.dense.relief import hillshade
-from torchrefrac.evaluate.survey_orders import order_shares, vertical_uncertainty
+from torchrefrac.dense.tiles import Tile, count_tiles, raster_tiles
+from torchrefrac.evaluate.survey_orders import BedStatistics, vertical_uncertainty
 from torchrefrac.files.contours import write_contours
-from torchrefrac.files.geotiff import write_bands, write_image
+from torchrefrac.files.geotiff import BandFile, Place, band_file, color_file
 from torchrefrac.files.las import LasPoints, PointClass, write_las
 from torchrefrac.files.run import CONTOURS, DENSE_LAZ, POINTS_LAZ, RASTERS
 from torchrefrac.recorder import Recorder
@@ -65,17 +68,75 @@ def write_survey_products(
     if not (outputs.geotiff or outputs.contours):
         return {}
     flat = replace(cloud, points=_on_map(cloud.points, place))
-    raster = raster_of(flat, outputs.raster_cell)
-    if outputs.contours:
-        write_contours(raster, folder / CONTOURS, outputs.contours, crs)
-    if outputs.geotiff:
-        _write_rasters(raster, place, crs, folder, recorder)
-        if outputs.orthophoto:
-            local = replace(raster, **_in_scene(raster, place))
-            colored = orthophoto(local, scene, Images(photographs(scene)), recorder)
-            back = {"x_west": raster.x_west, "y_north": raster.y_north, "cell_size": colored.cell_size * place.scale}
-            write_image(colored.colors, folder / RASTERS["orthophoto"], replace(colored, **back), crs)
-    return raster_metrics(raster) | {f"gsd_{scene.length_unit}": _pixel(cloud, scene)}
+    metrics = write_rasters(flat, place, crs, outputs, folder, recorder)
+    pictures = outputs.contours or (outputs.geotiff and outputs.orthophoto)
+    if pictures:
+        raster = raster_of(flat, outputs.raster_cell)
+        if outputs.contours:
+            write_contours(raster, folder / CONTOURS, outputs.contours, crs)
+        if outputs.geotiff and outputs.orthophoto:
+            _write_orthophoto(raster, scene, place, crs, folder, recorder)
+    return metrics | {f"gsd_{scene.length_unit}": _pixel(cloud, scene)}
+
+
+def write_rasters(
+    points: Points, place: Georeference, crs: str | None, outputs: DenseOutputs, folder: Path, recorder: Recorder
+) -> dict[str, Any]:
+    """Write the rasters of a cloud, tile by tile; metrics of its bed, see `BedStatistics`.
+
+    points: a cloud, or a file of one, whose x and y are on the map and z above the water. Raises DenseError for cells
+    that are no length.
+    """
+    grid, near = grid_of(points, outputs.raster_cell)
+    unit, bed = points[torch.arange(0)].length_unit, BedStatistics(grid.cell_size)
+    corner = (grid.x_west, grid.y_north, grid.cell_size)
+    where = Place(grid.rows, grid.columns, *corner, unit, crs)
+    with ExitStack() as open_files:
+        files = {
+            name: open_files.enter_context(band_file(folder / RASTERS[name], bands, where, of))
+            for name, (bands, of) in (_bands(unit) if outputs.geotiff else {}).items()
+        }
+        tiles = raster_tiles(points, grid, near)
+        for tile in recorder.track(tiles, count_tiles(grid), "writing rasters", "tile"):
+            bed.add(tile)
+            _write_tile(tile, files, place)
+    return bed.metrics(unit)
+
+
+def _bands(unit: str) -> dict[str, tuple[tuple[str, ...], str]]:
+    """Of each raster the names of its bands, and their unit."""
+    return {
+        "dsm": (("height",), unit),
+        "depth": (("depth",), unit),
+        "sigma": (("sigma", "tvu_95"), unit),
+        "views": (("views",), ""),
+        "hillshade": (("hillshade",), ""),
+    }
+
+
+def _write_tile(tile: Tile, files: Mapping[str, BandFile], place: Georeference) -> None:
+    raster = tile.raster
+    shade = 1.0 + 254.0 * hillshade(raster.depth, raster.valid, raster.cell_size)
+    values = {
+        "dsm": (raster.height + place.origin[2],),
+        "depth": (raster.depth,),
+        "sigma": (raster.sigma, vertical_uncertainty(raster.sigma)),
+        "views": (raster.views,),
+        "hillshade": (shade,),
+    }
+    for name, file in files.items():
+        valid = raster.valid & (raster.height < 0.0) if name == "depth" else raster.valid
+        file.write([tile.inner(grid) for grid in values[name]], tile.inner(valid), tile.row, tile.column)
+
+
+def _write_orthophoto(
+    raster: Raster, scene: Scene, place: Georeference, crs: str | None, folder: Path, recorder: Recorder
+) -> None:
+    local = replace(raster, **_in_scene(raster, place))
+    colored = orthophoto(local, scene, Images(photographs(scene)), recorder)
+    where = replace(colored, x_west=raster.x_west, y_north=raster.y_north, cell_size=colored.cell_size * place.scale)
+    with color_file(folder / RASTERS["orthophoto"], Place.of(where, crs)) as file:
+        file.write_colors(colored.colors, colored.valid, 0, 0)
 
 
 def _pixel(cloud: DenseCloud, scene: Scene) -> float:
@@ -83,24 +144,6 @@ def _pixel(cloud: DenseCloud, scene: Scene) -> float:
     away = (scene.views.center[cloud.reference] - cloud.points).norm(dim=-1)
     focal = scene.cameras.focal[scene.views.camera[cloud.reference]].mean(dim=-1)
     return float((away / focal).median())
-
-
-def raster_metrics(raster: Raster) -> dict[str, Any]:
-    """Of the cells of the bed, with UNIT the length unit: bed_area_UNIT2, depth_median_UNIT and depth_99_percent_UNIT
-    (so much of it is not deeper), bed_sigma_median_UNIT, and s44_NAME_percent, the share that each order of S-44
-    allows."""
-    unit, bed = raster.length_unit, raster.valid & (raster.height < 0.0)
-    depth, sigma = raster.depth[bed], raster.sigma[bed]
-    if not len(depth):
-        return {}
-    known = {
-        f"bed_area_{unit}2": len(depth) * raster.cell_size**2,
-        f"depth_median_{unit}": float(depth.median()),
-        f"depth_99_percent_{unit}": float(depth.sort().values[int(0.99 * (len(depth) - 1))]),
-        f"bed_sigma_median_{unit}": float(sigma.median()),
-    }
-    shares = order_shares(depth, sigma, unit)
-    return known | {f"s44_{name}_percent": round(100.0 * share, 2) for name, share in shares.items()}
 
 
 def dense_points(cloud: DenseCloud, scene: Scene, place: Georeference) -> LasPoints:
@@ -171,18 +214,3 @@ def _in_scene(raster: Raster, place: Georeference) -> dict[str, float]:
         "y_north": (raster.y_north - north) / place.scale,
         "cell_size": raster.cell_size / place.scale,
     }
-
-
-def _write_rasters(raster: Raster, place: Georeference, crs: str | None, folder: Path, recorder: Recorder) -> None:
-    unit, bed = raster.length_unit, replace(raster, valid=raster.valid & (raster.height < 0.0))
-    shade = 1.0 + 254.0 * hillshade(raster.depth, raster.valid, raster.cell_size)
-    uncertainty = {"sigma": raster.sigma, "tvu_95": vertical_uncertainty(raster.sigma)}
-    every = (
-        ("dsm", {"height": raster.height + place.origin[2]}, raster, unit),
-        ("depth", {"depth": raster.depth}, bed, unit),
-        ("sigma", uncertainty, raster, unit),
-        ("views", {"views": raster.views}, raster, ""),
-        ("hillshade", {"hillshade": shade}, raster, ""),
-    )
-    for name, bands, where, of in recorder.track(every, len(every), "writing GeoTIFF", "raster"):
-        write_bands(bands, folder / RASTERS[name], where, of, crs)

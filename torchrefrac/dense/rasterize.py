@@ -1,6 +1,8 @@
 """A digital surface model: the upper surface of a dense cloud on a grid of square cells, north up."""
 
 import math
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -18,6 +20,16 @@ SHARPEST = 0.1  # no point counts as more exact than this part of the median sig
 HEIGHT_BITS = 34  # of a key, whose other bits are the cell
 OPPOSITE = ((0, 1), (1, 0), (1, 1), (1, -1))  # row and column of one of each two opposite neighbours of a cell
 TAIL, STRAY = 0.01, 2.0  # stray: beyond the range of the middle 98 %, by more than twice that range
+
+CHUNK = 1_000_000  # points that are looked at together
+
+
+class Points(Protocol):
+    """A dense cloud, or a file of one: so many points, and those of some rows."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, rows: Int[Tensor, " k"]) -> DenseCloud: ...
 
 
 def raster_of(cloud: DenseCloud, cell_size: float | None) -> Raster:
@@ -46,30 +58,75 @@ def rasterize(cloud: DenseCloud, cell_size: float | None = None) -> Raster:
 
     Raises ValueError where cell_size is not above 0, or so small that the raster would have over 50 million cells.
     """
+    grid, near = grid_of(cloud, cell_size)
+    if grid.rows * grid.columns > MOST_CELLS:
+        raise ValueError(
+            f"cell_size is {grid.cell_size:g}, but makes {grid.rows} x {grid.columns} cells of a cloud "
+            f"{grid.columns * grid.cell_size:g} x {grid.rows * grid.cell_size:g} {cloud.length_unit} wide; give a "
+            f"larger one, for at most {MOST_CELLS} cells"
+        )
+    return raster_in(cloud[near], grid)
+
+
+@dataclass(frozen=True)
+class RasterGrid:
+    """Square cells: row 0 is the northernmost, column 0 the westernmost; x_west, y_north: the outer corner of the first
+    cell."""
+
+    rows: int
+    columns: int
+    x_west: float
+    y_north: float
+    cell_size: float
+
+    def part(self, row: int, column: int, rows: int, columns: int) -> "RasterGrid":
+        """So many rows and columns of it, from one cell on, which may lie outside."""
+        x_west, y_north = self.x_west + column * self.cell_size, self.y_north - row * self.cell_size
+        return RasterGrid(rows, columns, x_west, y_north, self.cell_size)
+
+
+def grid_of(points: Points, cell_size: float | None = None) -> tuple[RasterGrid, Bool[Tensor, " n"]]:
+    """The cells that points lie in, see `rasterize`, and which of the points count.
+
+    Raises ValueError where cell_size is not above 0.
+    """
     if cell_size is not None and not 0.0 < cell_size < math.inf:
         raise ValueError(f"cell_size is {cell_size:g}, but must be a length above 0")
-    cloud = cloud[_near(cloud.points) & cloud.sigma.isfinite()]
-    points = cloud.points
+    plane, near = [torch.zeros(0, 2, dtype=torch.float64)], [torch.zeros(0, dtype=torch.bool)]
+    for start in range(0, len(points), CHUNK):
+        some = points[torch.arange(start, min(start + CHUNK, len(points)))]
+        plane.append(some.points[:, :2])
+        near.append(some.points.isfinite().all(dim=-1) & some.sigma.isfinite())
+    xy, known = torch.cat(plane), torch.cat(near)
+    del plane, near
+    known &= _near(xy, known)
     if cell_size is None:
-        spacing = point_spacing(points)
+        spacing = point_spacing(xy[known])
         cell_size = float(f"{CELLS_A_SPACING * spacing:.2g}") if spacing > 0.0 else 1.0
-    if not len(cloud):
-        return _raster(cloud, points.new_zeros(0, dtype=torch.long), (0, 0), (0.0, 0.0), cell_size)
-    low, high = points[:, :2].amin(dim=0).tolist(), points[:, :2].amax(dim=0).tolist()
-    x_west, y_north = math.floor(low[0] / cell_size) * cell_size, math.ceil(high[1] / cell_size) * cell_size
-    rows, columns = math.floor((y_north - low[1]) / cell_size) + 1, math.floor((high[0] - x_west) / cell_size) + 1
-    if rows * columns > MOST_CELLS:
-        raise ValueError(
-            f"cell_size is {cell_size:g}, but makes {rows} x {columns} cells of a cloud {high[0] - low[0]:g} x "
-            f"{high[1] - low[1]:g} {cloud.length_unit} wide; give a larger one, for at most {MOST_CELLS} cells"
-        )
-    row = ((y_north - points[:, 1]) / cell_size).floor().long().clamp(0, rows - 1)
-    column = ((points[:, 0] - x_west) / cell_size).floor().long().clamp(0, columns - 1)
-    framed = (row + 1) * (columns + 2) + column + 1
-    return _raster(cloud, framed, (rows, columns), (x_west, y_north), cell_size)
+    if not bool(known.any()):
+        return RasterGrid(0, 0, 0.0, 0.0, cell_size), known
+    (west, east), (south, north) = (_extent(xy[:, axis], known) for axis in (0, 1))
+    x_west, y_north = math.floor(west / cell_size) * cell_size, math.ceil(north / cell_size) * cell_size
+    rows, columns = math.floor((y_north - south) / cell_size) + 1, math.floor((east - x_west) / cell_size) + 1
+    return RasterGrid(rows, columns, x_west, y_north, cell_size), known
 
 
-def point_spacing(points: Float[Tensor, "n 3"]) -> float:
+def _extent(values: Float[Tensor, " n"], known: Bool[Tensor, " n"]) -> tuple[float, float]:
+    return float(values.where(known, torch.inf).min()), float(values.where(known, -torch.inf).max())
+
+
+def raster_in(cloud: DenseCloud, grid: RasterGrid, sharpest: float | None = None) -> Raster:
+    """The upper surface of a cloud, see `rasterize`, in the cells of a grid; points beyond it count as in its outermost
+    cells. sharpest: the sigma below which none counts as more exact; None: by the cloud itself."""
+    if not grid.rows * grid.columns:
+        nothing = torch.zeros(0, dtype=torch.long)
+        return _raster(cloud[nothing], nothing, grid, sharpest)
+    row = ((grid.y_north - cloud.points[:, 1]) / grid.cell_size).floor().long().clamp(0, grid.rows - 1)
+    column = ((cloud.points[:, 0] - grid.x_west) / grid.cell_size).floor().long().clamp(0, grid.columns - 1)
+    return _raster(cloud, (row + 1) * (grid.columns + 2) + column + 1, grid, sharpest)
+
+
+def point_spacing(points: Float[Tensor, "n d"]) -> float:
     """The typical horizontal spacing of points: the side of the square that each has to itself.
 
     From the median distance d to the eighth nearest neighbour, of at most 20,000 of the points: the circle of radius d
@@ -86,35 +143,39 @@ def point_spacing(points: Float[Tensor, "n 3"]) -> float:
     return float(np.median(distance[:, -1])) * math.sqrt(math.pi / neighbours)
 
 
-def _near(points: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
-    """Which points are finite and not far outside of where nearly all lie."""
-    near = points.isfinite().all(dim=-1)
+def _near(plane: Float[Tensor, "n 2"], known: Bool[Tensor, " n"]) -> Bool[Tensor, " n"]:
+    """Which of the known points are not far outside of where nearly all lie."""
+    near = known.clone()
     if not near.any():
         return near
-    for values in (points[:, 0], points[:, 1]):
+    for values in plane.T:
         inliers = values[near]
         tail = math.floor(TAIL * len(inliers))
         low, high = inliers.kthvalue(tail + 1).values, inliers.kthvalue(len(inliers) - tail).values
         margin = STRAY * (high - low)
-        near = near & (values >= low - margin) & (values <= high + margin)
+        near &= (values >= low - margin) & (values <= high + margin)
     return near
 
 
-def _raster(
-    cloud: DenseCloud, cell: Int[Tensor, " n"], shape: tuple[int, int], corner: tuple[float, float], cell_size: float
-) -> Raster:
+def sharpest_of(sigma: Float[Tensor, " n"]) -> float:
+    """The sigma below which no point of a cloud counts as more exact."""
+    positive = sigma[sigma > 0.0]
+    return SHARPEST * float(positive.median()) if len(positive) else 1.0
+
+
+def _raster(cloud: DenseCloud, cell: Int[Tensor, " n"], grid: RasterGrid, sharpest: float | None) -> Raster:
     """The raster of points that lie in these cells, counted in a grid with a frame of one empty cell around it."""
-    framed = (shape[0] + 2, shape[1] + 2)
+    framed = (grid.rows + 2, grid.columns + 2)
     size = framed[0] * framed[1]
     vectors, counts = cloud.points.new_zeros(6, size), cell.new_zeros(size)
     if len(cloud):
-        occupied, values, members = _upper_surface(cloud, cell, framed[1], cell_size)
+        occupied, values, members = _upper_surface(cloud, cell, framed[1], grid.cell_size, sharpest)
         vectors[:, occupied] = values
         counts[occupied] = members
     filled = _fill_small_holes(vectors, counts > 0, framed)
 
-    def inner(grid: Shaped[Tensor, " size"]) -> Shaped[Tensor, "rows columns"]:
-        return grid.unflatten(0, framed)[1:-1, 1:-1].contiguous()
+    def inner(values: Shaped[Tensor, " size"]) -> Shaped[Tensor, "rows columns"]:
+        return values.unflatten(0, framed)[1:-1, 1:-1].contiguous()
 
     return Raster(
         height=inner(vectors[0]),
@@ -123,16 +184,16 @@ def _raster(
         colors=torch.stack([inner(plane.round().to(torch.uint8)) for plane in vectors[2:5]], dim=-1),
         valid=inner((counts > 0) | filled),
         filled=inner(filled),
-        x_west=corner[0],
-        y_north=corner[1],
-        cell_size=cell_size,
+        x_west=grid.x_west,
+        y_north=grid.y_north,
+        cell_size=grid.cell_size,
         length_unit=cloud.length_unit,
         views=inner(vectors[5]),
     )
 
 
 def _upper_surface(
-    cloud: DenseCloud, cell: Int[Tensor, " n"], width: int, cell_size: float
+    cloud: DenseCloud, cell: Int[Tensor, " n"], width: int, cell_size: float, sharpest: float | None
 ) -> tuple[Int[Tensor, " m"], Float[Tensor, "6 m"], Int[Tensor, " m"]]:
     """Of the cells with points: their numbers; height, sigma, colour and views; how many points these are the mean of.
 
@@ -160,9 +221,7 @@ def _upper_surface(
     well_supported = (supported >= best.clamp(max=2)) & (PART * supported >= best)
     level = _largest(z.where(well_supported, -math.inf), segment, len(occupied))
 
-    positive = sigma[sigma > 0.0]
-    floor = SHARPEST * float(positive.median()) if len(positive) else 1.0
-    weight = sigma.clamp(min=floor) ** -2
+    weight = sigma.clamp(min=sharpest_of(sigma) if sharpest is None else sharpest) ** -2
     chosen, total = torch.zeros_like(weight, dtype=torch.bool), torch.zeros_like(level)
     for _ in range(ROUNDS):  # from the top of the surface to its middle
         near = (z - level[segment]).abs() <= thickness

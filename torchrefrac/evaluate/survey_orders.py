@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchrefrac.dense.tiles import Tile
+
 NORMAL_95 = 1.959964
 """Standard deviations within which a normal error lies with a probability of 95 %."""
 
@@ -36,6 +38,38 @@ IN_METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 def vertical_uncertainty(sigma: Float[Tensor, "*cells"]) -> Float[Tensor, "*cells"]:
     """Total vertical uncertainty at 95 % of heights with these standard deviations."""
     return NORMAL_95 * sigma
+
+
+class BedStatistics:
+    """What is known of the bed, gathered from the tiles of a raster."""
+
+    def __init__(self, cell_size: float) -> None:
+        self._cell_size = cell_size
+        self._depth = [torch.zeros(0)]
+        self._sigma = [torch.zeros(0)]
+
+    def add(self, tile: Tile) -> None:
+        """The cells of a tile below the water."""
+        raster = tile.raster
+        bed = tile.inner(raster.valid & (raster.height < 0.0))
+        self._depth.append(tile.inner(raster.depth)[bed].float())
+        self._sigma.append(tile.inner(raster.sigma)[bed].float())
+
+    def metrics(self, unit: str) -> dict[str, float]:
+        """With UNIT the length unit: bed_area_UNIT2, depth_median_UNIT and depth_99_percent_UNIT (so much of it is not
+        deeper), bed_sigma_median_UNIT, and s44_NAME_percent, the share that each order of S-44 allows; none without a
+        bed."""
+        depth, sigma = torch.cat(self._depth), torch.cat(self._sigma)
+        if not len(depth):
+            return {}
+        known = {
+            f"bed_area_{unit}2": len(depth) * self._cell_size**2,
+            f"depth_median_{unit}": float(depth.median()),
+            f"depth_99_percent_{unit}": float(depth.kthvalue(max(1, int(0.99 * len(depth)))).values),
+            f"bed_sigma_median_{unit}": float(sigma.median()),
+        }
+        shares = order_shares(depth, sigma, unit)
+        return known | {f"s44_{name}_percent": round(100.0 * share, 2) for name, share in shares.items()}
 
 
 def order_shares(depth: Float[Tensor, " n"], sigma: Float[Tensor, " n"], length_unit: str) -> dict[str, float]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Shaped
+from jaxtyping import Int, Shaped
 from torch import Tensor
 
 from torchrefrac.files.npz import read_arrays, write_arrays
@@ -48,6 +48,32 @@ def load_dense(path: str | Path) -> DenseCloud:
     """
     path = Path(path)
     vertices, comments = read_vertices(path)
+    cloud = _cloud(vertices, _unit(vertices, comments, path))
+    if not cloud.points.isfinite().all():
+        raise DenseFileError(f"{path} is damaged: it has a coordinate that is not finite")
+    return cloud
+
+
+class DenseFile:
+    """A dense cloud that stays in its file: of its points, those that are asked for are read.
+
+    Raises what `load_dense` raises, but for coordinates that are not finite.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        path = Path(path)
+        self._vertices, comments = read_vertices(path, mapped=True)
+        self.length_unit = _unit(self._vertices, comments, path)
+
+    def __len__(self) -> int:
+        return len(self._vertices)
+
+    def __getitem__(self, rows: Int[Tensor, " k"]) -> DenseCloud:
+        return _cloud(self._vertices[rows.numpy()], self.length_unit)
+
+
+def _unit(vertices: Shaped[np.ndarray, " n"], comments: Sequence[str], path: Path) -> str:
+    """The unit of length. Raises DenseFileError where there is none, or a property is missing."""
     wanted = (*POSITION, *NORMAL, *COLOR, "views", "sigma", "score", "reference")
     missing = [name for name in wanted if name not in (vertices.dtype.names or ())]
     if missing:
@@ -55,26 +81,26 @@ def load_dense(path: str | Path) -> DenseCloud:
     units = [comment.removeprefix(UNIT).strip() for comment in comments if comment.startswith(f"{UNIT} ")]
     if not units:
         raise DenseFileError(f"{path} is not a dense cloud: its header lacks the comment '{UNIT} ...'")
+    return units[0]
 
+
+def _cloud(vertices: Shaped[np.ndarray, " n"], unit: str) -> DenseCloud:
     def columns(names: Sequence[str], dtype: type = np.float64) -> Shaped[Tensor, "n k"]:
         return torch.from_numpy(np.stack([vertices[name].astype(dtype) for name in names], axis=-1))
 
     known = vertices.dtype.names or ()
     relative = "sigma_relative" if "sigma_relative" in known else "sigma"
     of_axes = {"axis_sigma": columns(AXES), "common_sigma": columns((COMMON,))[:, 0]} if COMMON in known else {}
-    cloud = DenseCloud(
+    return DenseCloud(
         points=columns(POSITION),
         normals=columns(NORMAL),
         colors=columns(COLOR, np.uint8),
         **{name: columns((name,))[:, 0] for name in ("sigma", "score")},
         **{name: columns((name,), np.int64)[:, 0] for name in ("views", "reference")},
         relative_sigma=columns((relative,))[:, 0],
-        length_unit=units[0],
+        length_unit=unit,
         **of_axes,
     )
-    if not cloud.points.isfinite().all():
-        raise DenseFileError(f"{path} is damaged: it has a coordinate that is not finite")
-    return cloud
 
 
 def write_depth_map(depth_map: DepthMap, path: str | Path) -> None:

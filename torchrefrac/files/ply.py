@@ -69,12 +69,12 @@ def write_vertices(
         triangles.tofile(file)
 
 
-def read_vertices(path: Path) -> tuple[Shaped[np.ndarray, " n"], tuple[str, ...]]:
+def read_vertices(path: Path, mapped: bool = False) -> tuple[Shaped[np.ndarray, " n"], tuple[str, ...]]:
     """The vertices of a binary PLY file, a structured array with a field for each property, and its comments.
 
-    Elements behind the vertices (faces) are passed over. Raises DenseFileError where the file is missing, is no binary
-    PLY file, has a list among the properties of its vertices, or holds fewer bytes than its header says (or, where the
-    vertices are all it has, more).
+    mapped: the array stays in the file, and what is looked at is read. Elements behind the vertices (faces) are passed
+    over. Raises DenseFileError where the file is missing, is no binary PLY file, has a list among the properties of its
+    vertices, or holds fewer bytes than its header says (or, where the vertices are all it has, more).
     """
     try:
         with path.open("rb") as file:
@@ -86,6 +86,8 @@ def read_vertices(path: Path) -> tuple[Shaped[np.ndarray, " n"], tuple[str, ...]
                 raise DenseFileError(
                     f"{path} is damaged: it has {size} bytes behind its header, but {count} vertices take {wanted}"
                 )
+            if mapped and count:
+                return np.memmap(path, dtype=dtype, mode="r", offset=offset, shape=(count,)), comments
             file.seek(offset)
             return np.fromfile(file, dtype=dtype, count=count), comments
     except OSError as error:
