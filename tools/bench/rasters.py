@@ -100,7 +100,7 @@ def _checked(folder: Path) -> float:
     generator, worst = np.random.default_rng(2), 0.0
     with rasterio.open(folder / "dsm.tif") as dsm, rasterio.open(folder / "sigma.tif") as sigmas:
         for row, column in generator.integers(0, min(dsm.shape) - 1, (1000, 2)):
-            window = Window(column, row, 1, 1)
+            window = Window(column, row, 1, 1)  # type: ignore[call-arg]
             height, sigma = dsm.read(1, window=window)[0, 0], sigmas.read(1, window=window)[0, 0]
             if not np.isfinite(height):
                 continue
