@@ -64,7 +64,7 @@ def methods(run: RunContents) -> str:
     words = [
         f"{images:.0f} photographs were reconstructed with refraction at the water surface modelled in every step "
         f"(torchrefrac; index of refraction {scene.index_ratio:.4g} relative to air): relative and absolute poses with "
-        f"known vertical, bundle adjustment of all poses and points{_refined(scene.cameras.names)}, and dense matching "
+        f"known vertical, bundle adjustment of all poses and points{_cameras(scene.cameras.names)}, and dense matching "
         f"of surface patches along refracted rays ({points:.0f} points)."
     ]
     level, unit = record.number(f"water_level_{run.unit}"), run.unit
@@ -86,5 +86,5 @@ def methods(run: RunContents) -> str:
     return " ".join(words)
 
 
-def _refined(names: Sequence[str]) -> str:
-    return f" of {len(names)} cameras" if len(names) > 1 else ""
+def _cameras(names: Sequence[str]) -> str:
+    return f" ({len(names)} cameras)" if len(names) > 1 else ""
