@@ -5,27 +5,14 @@ import numpy as np
 import pytest
 import torch
 
+from tests.files.rasters import raster_of as plain_raster
 from torchrefrac.figures.raster import EMPTY, draw_raster
-from torchrefrac.scene.raster import Raster
 
 
 def raster_of(height, valid=None):
     """A raster of cells of 0.5 m; the south-western corner is at (10, 20)."""
     height = torch.as_tensor(height, dtype=torch.float64)
-    valid = torch.ones_like(height, dtype=torch.bool) if valid is None else valid
-    return Raster(
-        height=height * valid,
-        sigma=torch.zeros_like(height),
-        count=valid.long(),
-        colors=torch.zeros(*height.shape, 3, dtype=torch.uint8),
-        valid=valid,
-        filled=torch.zeros_like(valid),
-        x_west=10.0,
-        y_north=20.0 + 0.5 * len(height),
-        cell_size=0.5,
-        length_unit="m",
-        views=torch.zeros_like(height),
-    )
+    return plain_raster(height, valid, x_west=10.0, y_north=20.0 + 0.5 * len(height), cell_size=0.5)
 
 
 @pytest.fixture

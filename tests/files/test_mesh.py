@@ -8,28 +8,17 @@ import pytest
 import torch
 import trimesh
 
+from tests.files.rasters import raster_of as plain_raster
 from torchrefrac.files.mesh import height_field_mesh, write_mesh
-from torchrefrac.scene.raster import Raster
 
 
 def raster_of(height, valid=None, cell_size=0.5):
     """A raster whose south-western corner is at (10, 20); colours are all different."""
     height = torch.as_tensor(height, dtype=torch.float64)
-    valid = torch.ones_like(height, dtype=torch.bool) if valid is None else torch.as_tensor(valid)
+    valid = None if valid is None else torch.as_tensor(valid)
+    plain = plain_raster(height, valid, x_west=10.0, y_north=20.0 + len(height) * cell_size, cell_size=cell_size)
     color = torch.arange(3 * height.numel()).remainder(251).to(torch.uint8)
-    return Raster(
-        height=height * valid,
-        sigma=torch.zeros_like(height),
-        count=valid.long(),
-        colors=color.reshape(*height.shape, 3) * valid[..., None],
-        valid=valid,
-        filled=torch.zeros_like(valid),
-        x_west=10.0,
-        y_north=20.0 + len(height) * cell_size,
-        cell_size=cell_size,
-        length_unit="m",
-        views=torch.zeros_like(height),
-    )
+    return replace(plain, colors=color.reshape(*height.shape, 3) * plain.valid[..., None])
 
 
 def plane(rows, columns, cell_size=0.5):
