@@ -7,10 +7,14 @@ import pytest
 import torch
 
 from torchrefrac.files import las
-from torchrefrac.files.las import LasPoints, PointClass, require_las, write_las
+from torchrefrac.files.las import LasPoints, PointClass, extent_of, require_las, write_las
 
 laspy = pytest.importorskip("laspy")
 ORIGIN = torch.tensor([412_345.0, 5_312_345.0, 428.0], dtype=torch.float64)
+
+
+def _extent(points):
+    return extent_of([points.coordinates])
 
 
 @pytest.fixture
@@ -24,11 +28,11 @@ def points(draw):
 
 
 @pytest.mark.parametrize("name", ["points.las", "points.laz"])
-def test_points_come_back_to_a_tenth_of_a_millimetre(tmp_path, monkeypatch, points, name):
-    monkeypatch.setattr(las, "CHUNK", 300)
+def test_points_come_back_to_a_tenth_of_a_millimetre(tmp_path, points, name):
     written = []
 
-    write_las(points, tmp_path / name, "EPSG:32633", lambda count, _: written.append(count))
+    parts = [points[start : start + 300] for start in range(0, 1000, 300)]
+    write_las(parts, tmp_path / name, _extent(points), "EPSG:32633", lambda count, _: written.append(count))
     read = laspy.read(tmp_path / name)
 
     assert written == [300, 300, 300, 100]
@@ -46,7 +50,7 @@ def test_points_come_back_to_a_tenth_of_a_millimetre(tmp_path, monkeypatch, poin
 
 
 def test_a_compound_system_keeps_its_datum_of_heights(tmp_path, points):
-    write_las(points, tmp_path / "points.laz", "EPSG:32633+5773")
+    write_las([points], tmp_path / "points.laz", _extent(points), "EPSG:32633+5773")
 
     system = laspy.read(tmp_path / "points.laz").header.parse_crs()
 
@@ -56,24 +60,25 @@ def test_a_compound_system_keeps_its_datum_of_heights(tmp_path, points):
 def test_a_cloud_as_large_as_a_country_has_coarser_steps(tmp_path, points):
     far = LasPoints(points.coordinates * 10.0, points.colors, points.classes)
 
-    write_las(far, tmp_path / "points.laz")
+    write_las([far], tmp_path / "points.laz", _extent(far))
     read = laspy.read(tmp_path / "points.laz")
 
     assert np.abs(np.stack((read.x, read.y, read.z), axis=-1) - far.coordinates.numpy()).max() < 0.51e-4
     spread = LasPoints(points.coordinates * 1e4, points.colors, points.classes)
-    write_las(spread, tmp_path / "points.laz")
+    write_las([spread], tmp_path / "points.laz", _extent(spread))
     assert laspy.read(tmp_path / "points.laz").header.scales.tolist() == pytest.approx([1e-3, 1e-3, 1e-3])
 
 
 def test_a_cloud_without_points_is_a_file_all_the_same(tmp_path, points):
-    write_las(LasPoints(points.coordinates[:0], points.colors[:0], points.classes[:0]), tmp_path / "points.laz")
+    write_las([points[:0]], tmp_path / "points.laz", _extent(points[:0]))
+    write_las([], tmp_path / "none.laz", _extent(points[:0]))
 
-    assert len(laspy.read(tmp_path / "points.laz")) == 0
+    assert len(laspy.read(tmp_path / "points.laz")) == len(laspy.read(tmp_path / "none.laz")) == 0
 
 
 def test_what_cannot_be_written_is_refused_before_there_is_a_file(tmp_path, monkeypatch, points):
     with pytest.raises(ValueError, match="crs is 'Atlantis', which is no coordinate reference system"):
-        write_las(points, tmp_path / "points.laz", "Atlantis")
+        write_las([points], tmp_path / "points.laz", _extent(points), "Atlantis")
     monkeypatch.setattr(las, "find_spec", lambda name: None if name == "lazrs" else sys)
     with pytest.raises(ImportError, match=r"pip install torchrefrac\[geo\]"):
         require_las()

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,15 @@ from torch import Tensor
 from torchrefrac.config import DenseOutputs, OptionError
 from torchrefrac.dense.images import Images, photographs
 from torchrefrac.dense.orthophoto import orthophoto
-from torchrefrac.dense.rasterize import Points, grid_of, raster_of
+from torchrefrac.dense.rasterize import SAMPLE, Points, grid_of, in_chunks, raster_of
 from torchrefrac.dense.relief import hillshade
 from torchrefrac.dense.tiles import Tile, count_tiles, raster_tiles
 from torchrefrac.evaluate.survey_orders import BedStatistics, vertical_uncertainty
 from torchrefrac.files.contours import write_contours
 from torchrefrac.files.geotiff import BandFile, Place, band_file, color_file
-from torchrefrac.files.las import LasPoints, PointClass, write_las
+from torchrefrac.files.las import LasPoints, PointClass, extent_of, write_las
 from torchrefrac.files.run import CONTOURS, DENSE_LAZ, POINTS_LAZ, RASTERS
+from torchrefrac.numerics import thin
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import DenseCloud, Georeference, Raster, Scene
 
@@ -51,32 +52,57 @@ def _same(crs: str, place: Georeference) -> bool:
 
 
 def write_survey_products(
-    cloud: DenseCloud, scene: Scene, outputs: DenseOutputs, folder: Path, recorder: Recorder
+    points: Points, scene: Scene, outputs: DenseOutputs, folder: Path, recorder: Recorder
 ) -> dict[str, Any]:
-    """Write what `outputs` asks for of clouds and rasters on the map, each whole or not at all; metrics of the raster.
+    """Write what `outputs` asks for of clouds and rasters on the map, each whole or not at all; metrics of the bed.
 
-    Coordinates are those of the scene's georeference, in float64, heights those of its datum; where it has none, those
-    of the scene. Depths are from the water's surface down.
+    points: a dense cloud, or a file of one; contours and the orthophoto take it into memory. Coordinates are those of
+    the scene's georeference, in float64, heights those of its datum; where it has none, those of the scene. Depths are
+    from the water's surface down. Raises DenseError where cells are too small for the extent.
     """
     place, crs = scene.georeference or UNPLACED, None
     if scene.georeference is not None:
         crs = outputs.crs or place.name
     if outputs.laz:
-        with recorder.meter(len(cloud) + len(scene.points), "writing LAZ", "point") as advance:
-            write_las(dense_points(cloud, scene, place), folder / DENSE_LAZ, crs, advance)
-            write_las(tie_points(scene, place), folder / POINTS_LAZ, crs, advance)
+        _write_points(points, scene, place, crs, folder, recorder)
     if not (outputs.geotiff or outputs.contours):
         return {}
-    flat = replace(cloud, points=_on_map(cloud.points, place))
-    metrics = write_rasters(flat, place, crs, outputs, folder, recorder)
-    pictures = outputs.contours or (outputs.geotiff and outputs.orthophoto)
-    if pictures:
-        raster = raster_of(flat, outputs.raster_cell)
+    metrics = write_rasters(OnMap(points, place), place, crs, outputs, folder, recorder)
+    if outputs.contours or (outputs.geotiff and outputs.orthophoto):
+        raster = raster_of(OnMap(points, place)[torch.arange(len(points))], outputs.raster_cell)
         if outputs.contours:
             write_contours(raster, folder / CONTOURS, outputs.contours, crs)
         if outputs.geotiff and outputs.orthophoto:
             _write_orthophoto(raster, scene, place, crs, folder, recorder)
-    return metrics | {f"gsd_{scene.length_unit}": _pixel(cloud, scene)}
+    return metrics | {f"gsd_{scene.length_unit}": _pixel(points, scene)}
+
+
+@dataclass(frozen=True)
+class OnMap:
+    """Points whose x and y are easting and northing, and z the height above the water."""
+
+    points: Points
+    place: Georeference
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __getitem__(self, rows: Int[Tensor, " k"]) -> DenseCloud:
+        cloud = self.points[rows]
+        return replace(
+            cloud, points=torch.cat((self.place.coordinates(cloud.points)[:, :2], cloud.points[:, 2:]), dim=-1)
+        )
+
+
+def _write_points(
+    points: Points, scene: Scene, place: Georeference, crs: str | None, folder: Path, recorder: Recorder
+) -> None:
+    extent = extent_of(place.coordinates(cloud.points) for cloud in in_chunks(points))
+    ties = tie_points(scene, place)
+    with recorder.meter(len(points) + len(ties), "writing LAZ", "point") as advance:
+        parts = (dense_points(cloud, scene, place) for cloud in in_chunks(points))
+        write_las(parts, folder / DENSE_LAZ, extent, crs, advance)
+        write_las([ties], folder / POINTS_LAZ, extent_of([ties.coordinates]), crs, advance)
 
 
 def write_rasters(
@@ -139,8 +165,10 @@ def _write_orthophoto(
         file.write_colors(colored.colors, colored.valid, 0, 0)
 
 
-def _pixel(cloud: DenseCloud, scene: Scene) -> float:
-    """How far a pixel reaches on the surface, in the median: seen straight, which is less by a tenth at most."""
+def _pixel(points: Points, scene: Scene) -> float:
+    """How far a pixel reaches on the surface, in the median of some points: seen straight, which is less by a tenth at
+    most."""
+    cloud = points[thin(torch.arange(len(points)), SAMPLE)]
     away = (scene.views.center[cloud.reference] - cloud.points).norm(dim=-1)
     focal = scene.cameras.focal[scene.views.camera[cloud.reference]].mean(dim=-1)
     return float((away / focal).median())
@@ -199,11 +227,6 @@ def _incidence(cloud: DenseCloud, scene: Scene) -> Float[Tensor, " n"]:
     pixels, _ = camera.project(cloud.points)
     _, in_air, _, _ = camera.follow_rays(pixels)
     return (-in_air[:, 2]).clamp(-1.0, 1.0).acos().rad2deg()
-
-
-def _on_map(points: Float[Tensor, "n 3"], place: Georeference) -> Float[Tensor, "n 3"]:
-    """Easting and northing, but the height above the water."""
-    return torch.cat((place.coordinates(points)[:, :2], points[:, 2:]), dim=-1)
 
 
 def _in_scene(raster: Raster, place: Georeference) -> dict[str, float]:

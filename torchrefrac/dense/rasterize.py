@@ -1,6 +1,7 @@
 """A digital surface model: the upper surface of a dense cloud on a grid of square cells, north up."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -30,6 +31,12 @@ class Points(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, rows: Int[Tensor, " k"]) -> DenseCloud: ...
+
+
+def in_chunks(points: Points) -> Iterator[DenseCloud]:
+    """All of them, a million at a time."""
+    for start in range(0, len(points), CHUNK):
+        yield points[torch.arange(start, min(start + CHUNK, len(points)))]
 
 
 def raster_of(cloud: DenseCloud, cell_size: float | None) -> Raster:
@@ -93,8 +100,7 @@ def grid_of(points: Points, cell_size: float | None = None) -> tuple[RasterGrid,
     if cell_size is not None and not 0.0 < cell_size < math.inf:
         raise ValueError(f"cell_size is {cell_size:g}, but must be a length above 0")
     plane, near = [torch.zeros(0, 2, dtype=torch.float64)], [torch.zeros(0, dtype=torch.bool)]
-    for start in range(0, len(points), CHUNK):
-        some = points[torch.arange(start, min(start + CHUNK, len(points)))]
+    for some in in_chunks(points):
         plane.append(some.points[:, :2])
         near.append(some.points.isfinite().all(dim=-1) & some.sigma.isfinite())
     xy, known = torch.cat(plane), torch.cat(near)

@@ -1,13 +1,15 @@
 """LAS 1.4 point clouds, compressed as LAZ where the name ends so. Needs laspy with lazrs, of the extra `geo`."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
@@ -18,8 +20,8 @@ MISSING = "a LAS file needs laspy, lazrs and pyproj, which are not all installed
 POINT_FORMAT, VERSION = 7, "1.4"  # with colours
 FINEST = 1e-4  # of coordinates, length units
 MOST_STEPS = 2**31 - 1
-CHUNK = 1_000_000  # points that are written at once
 TO_16_BIT = 257
+Extent = tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]
 
 
 class PointClass(IntEnum):
@@ -46,6 +48,11 @@ class LasPoints:
     def __len__(self) -> int:
         return len(self.coordinates)
 
+    def __getitem__(self, rows: slice) -> "LasPoints":
+        """Some of them."""
+        extra = {name: (values[rows], what) for name, (values, what) in self.extra.items()}
+        return LasPoints(self.coordinates[rows], self.colors[rows], self.classes[rows], extra)
+
 
 def require_las(crs: str | None = None) -> None:
     """Raise what writing would: ImportError where laspy or lazrs is missing, ValueError where crs is not known."""
@@ -55,56 +62,70 @@ def require_las(crs: str | None = None) -> None:
         _system(crs)
 
 
-def write_las(points: LasPoints, path: str | Path, crs: str | None = None, advance: Advance | None = None) -> None:
+def write_las(
+    parts: Iterable[LasPoints],
+    path: str | Path,
+    extent: Extent,
+    crs: str | None = None,
+    advance: Advance | None = None,
+) -> None:
     """Write points as LAS 1.4, point format 7, with the reference system in the header (WKT).
 
-    Coordinates are whole multiples of 0.1 mm (of a ten-thousandth of any unit) from a whole origin near them, or of
-    more where the cloud is so large that this would not fit. Extra bytes are float32. advance: is called with the
-    number of points of each chunk. Raises ImportError where laspy is missing, ValueError where crs is not known.
+    parts: points with the same extra values, of which one part after the other is in memory. extent: least and largest
+    coordinates of all. Coordinates are whole multiples of 0.1 mm (of a ten-thousandth of any unit) from a whole origin
+    near them, or of more where the cloud is so large that this would not fit. Extra bytes are float32. advance: is
+    called with the number of points of each part. Raises ImportError where laspy is missing, ValueError where crs is
+    not known.
     """
     require_las(crs)
     import laspy  # noqa: PLC0415 - of an extra
 
     header = laspy.LasHeader(version=VERSION, point_format=POINT_FORMAT)
-    header.offsets, header.scales = _grid(points.coordinates)
+    header.offsets, header.scales = _grid(extent)
     header.generating_software = "torchrefrac"
     header.system_identifier = "EXTRACTION"
-    if points.extra:
-        header.add_extra_dims(
-            [laspy.ExtraBytesParams(name, "f4", description=what) for name, (_, what) in points.extra.items()]
-        )
     if crs is not None:
         header.add_crs(_system(crs))
-    path = Path(path)
-    with replacing(path) as temporary, laspy.open(temporary, mode="w", header=header) as file:
-        for start in range(0, len(points), CHUNK):
-            rows = slice(start, start + CHUNK)
-            file.write_points(_record(points, rows, header))
+    parts = iter(parts)
+    first = next(parts, None)
+    if first is not None and first.extra:
+        header.add_extra_dims(
+            [laspy.ExtraBytesParams(name, "f4", description=what) for name, (_, what) in first.extra.items()]
+        )
+    with replacing(Path(path)) as temporary, laspy.open(temporary, mode="w", header=header) as file:
+        for points in chain(() if first is None else (first,), parts):
+            file.write_points(_record(points, header))
             if advance is not None:
-                advance(min(CHUNK, len(points) - start), "")
+                advance(len(points), "")
 
 
-def _record(points: LasPoints, rows: slice, header: Any) -> Any:
+def _record(points: LasPoints, header: Any) -> Any:
     import laspy  # noqa: PLC0415
 
-    coordinates = points.coordinates[rows].double().cpu().numpy()
-    record = laspy.ScaleAwarePointRecord.zeros(len(coordinates), header=header)
-    record.x, record.y, record.z = coordinates.T
-    colors = points.colors[rows].cpu().numpy().astype(np.uint16) * TO_16_BIT
+    record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
+    record.x, record.y, record.z = points.coordinates.double().cpu().numpy().T
+    colors = points.colors.cpu().numpy().astype(np.uint16) * TO_16_BIT
     record.red, record.green, record.blue = colors.T
-    record.classification = points.classes[rows].cpu().numpy().astype(np.uint8)
-    ones = np.ones(len(coordinates), dtype=np.uint8)
+    record.classification = points.classes.cpu().numpy().astype(np.uint8)
+    ones = np.ones(len(points), dtype=np.uint8)
     record.return_number, record.number_of_returns = ones, ones
     for name, (values, _) in points.extra.items():
-        record[name] = values[rows].float().cpu().numpy()
+        record[name] = values.float().cpu().numpy()
     return record
 
 
-def _grid(coordinates: Float[Tensor, "n 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+def extent_of(parts: Iterable[Float[Tensor, "_ 3"]]) -> Extent:
+    """Least and largest coordinates of points in several parts; zero where there are none."""
+    low, high = torch.full((3,), torch.inf, dtype=torch.float64), torch.full((3,), -torch.inf, dtype=torch.float64)
+    for points in parts:
+        if len(points):
+            low, high = torch.minimum(low, points.amin(dim=0)), torch.maximum(high, points.amax(dim=0))
+    return (low, high) if bool(low.isfinite().all()) else (torch.zeros_like(low), torch.zeros_like(high))
+
+
+def _grid(extent: Extent) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
     """Origin and step of the whole numbers that coordinates are written as."""
-    if not len(coordinates):
-        return np.zeros(3), np.full(3, FINEST)
-    low, high = coordinates.amin(dim=0).cpu().numpy(), coordinates.amax(dim=0).cpu().numpy()
+    low, high = (end.cpu().numpy() for end in extent)
     offset = np.floor(low)
     needed = np.maximum((high - offset) / (MOST_STEPS * FINEST), 1.0)
     return offset, FINEST * 10.0 ** np.ceil(np.log10(needed))
