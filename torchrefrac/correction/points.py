@@ -5,6 +5,7 @@ line crosses it, and from there it goes on as Snell's law says. The bent rays of
 in the point with the least sum of squared distances, each over the square of the way from camera to apparent point.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -14,14 +15,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.correction.rules import CorrectionRules
-from torchrefrac.geometry import Plane
+from torchrefrac.geometry import Plane, triples
 from torchrefrac.minimal import triangulate
 from torchrefrac.minimal.rays import slopes
 from torchrefrac.numerics import inverse_cholesky_3x3, like, morton_code
 from torchrefrac.refraction import FlatInterface, refract_rays
 from torchrefrac.scene import Viewpoints, largest_deviation
 
-PAIRS = 1 << 18  # of points and cameras that are looked at together
+PAIRS = 1 << 17  # of points and cameras that are looked at together
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +125,7 @@ def _correct_block(
     surface = FlatInterface(rules.index_ratio, plane=Plane((0.0, 0.0, 1.0), level[:, None]))
     origin, direction, valid = refract_rays(rays.center, rays.offset, surface)
     present = rays.present & valid
-    distance_sq = rays.offset.square().sum(dim=-1)
+    distance_sq = triples.dot(triples.split(rays.offset), triples.split(rays.offset))
     weight = torch.where(present, 1.0 / distance_sq, 0.0)
     if rules.method == "rays":
         true, met = triangulate(origin, direction, weight)
@@ -150,21 +151,21 @@ def _rays(
 ) -> _Rays:
     """Of the cameras that see points of the block, side by side: as many columns as the point with most of them has."""
     steepest = like(rules.max_angle_deg, points).deg2rad().tan()
+    farthest = math.inf if rules.max_distance is None else rules.max_distance
     low, high = torch.aminmax(points, dim=0)
     away = torch.maximum(low - viewpoints.center, viewpoints.center - high)[:, :2].clamp(min=0.0).norm(dim=-1)
-    reach = steepest * (viewpoints.center[:, 2] - low[2])
+    near = viewpoints[away <= (steepest * (viewpoints.center[:, 2] - low[2])).clamp(max=farthest)]
+    center = near.center.T.contiguous()
+    offset = points.T[:, :, None] - center[:, None]  # components first, so that each runs through contiguous memory
+    distance_sq = offset[0].square() + offset[1].square()
+    seen = near.see(offset.movedim(0, -1)) & (center[2] > level[:, None]) & (offset[2] < 0.0)
+    seen = seen & (distance_sq <= (steepest * offset[2]).square())
     if rules.max_distance is not None:
-        reach = reach.clamp(max=rules.max_distance)
-    near = viewpoints[away <= reach]
-    offset = points[:, None] - near.center
-    distance = offset[..., :2].norm(dim=-1)
-    seen = near.see(offset) & (near.center[:, 2] > level[:, None]) & (distance <= -steepest * offset[..., 2])
-    if rules.max_distance is not None:
-        seen = seen & (distance <= rules.max_distance)
+        seen = seen & (distance_sq <= farthest**2)
     most = int(seen.sum(dim=-1).max())
     chosen = seen.to(torch.uint8).argsort(dim=-1, descending=True, stable=True)[:, :most]
-    picked = chosen[..., None].expand(-1, -1, 3)
-    return _Rays(near.center[chosen], offset.gather(1, picked), seen.gather(1, chosen))
+    picked = offset.gather(2, chosen.expand(3, -1, -1)).movedim(0, -1)
+    return _Rays(center[:, chosen].movedim(0, -1), picked, seen.gather(1, chosen))
 
 
 def _mean(
@@ -188,7 +189,8 @@ def _miss_sq(
     points: Float[Tensor, "b 3"], origin: Float[Tensor, "b k 3"], direction: Float[Tensor, "b k 3"]
 ) -> Float[Tensor, "b k"]:
     """Squared distances of points from their rays."""
-    return torch.linalg.cross(points[:, None] - origin, direction, dim=-1).square().sum(dim=-1)
+    across = triples.cross(triples.split(points[:, None] - origin), triples.split(direction))
+    return triples.dot(across, across)
 
 
 def _sigma(

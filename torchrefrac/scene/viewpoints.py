@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
-from torchrefrac.geometry import rotate
+from torchrefrac.geometry import triples
 from torchrefrac.scene.tables import Cameras
 
 EDGE = 33  # points along each side of an image whose distortion is undone
@@ -43,11 +43,11 @@ class Viewpoints:
         fall; all of them where nobody knows which way they look."""
         if self.rotation is None:
             return torch.ones_like(offsets[..., 0], dtype=torch.bool)
-        x, y, z = rotate(self.rotation, offsets).unbind(dim=-1)
+        x, y, z = triples.rotated(triples.rows(self.rotation), triples.split(offsets))
         ahead = z > 0.0
         if self.field is None:
             return ahead
-        left, right, top, bottom = self.field.unbind(dim=-1)
+        left, right, top, bottom = triples.components(self.field)
         return ahead & (x >= left * z) & (x <= right * z) & (y >= top * z) & (y <= bottom * z)
 
 
