@@ -55,8 +55,9 @@ class GridWater:
         u, v = x - left, y - top
         corners = ((top, left), (top, right), (below, left), (below, right))
         shares = ((1.0 - v) * (1.0 - u), (1.0 - v) * u, v * (1.0 - u), v * u)
-        mixed = torch.stack([share * self.height[at] for share, at in zip(shares, corners, strict=True)]).sum(dim=0)
-        all_known = torch.stack([self.known[at] for at in corners]).all(dim=0)
+        four = list(zip(shares, corners, strict=True))
+        mixed = torch.stack([share * self.height[at] for share, at in four]).sum(dim=0)
+        all_known = torch.stack([self.known[at] | (share == 0.0) for share, at in four]).all(dim=0)
         there = inside & self.known[i, j]
         return torch.where(there, torch.where(all_known, mixed, self.height[i, j]), 0.0), there
 
