@@ -80,6 +80,21 @@ def test_a_cloud_is_corrected_beside_a_record_and_a_report(torchrefrac, survey, 
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["corrected.csv", "metrics.json"]
 
 
+@pytest.mark.usefixtures("survey")
+def test_a_camera_file_says_the_same_as_focal_length_and_size(torchrefrac, metrics, tmp_path):
+    camera = {"width": 2400, "height": 2400, "fx": 1000.0, "fy": 1000.0, "cx": 1200.0, "cy": 1200.0}
+    content = {"format": "torchrefrac-camera/1", "pixel_origin": "corner", "camera": camera}
+    (tmp_path / "camera.json").write_text(json.dumps(content))
+    given = ("correct", "cloud=cloud.csv", "cameras=cameras.txt", f"water.level={LEVEL}", "forecast=false")
+
+    assert torchrefrac(*given, "camera=camera.json", "out=file").status == 0
+    assert torchrefrac(*given, *CALIBRATED, "out=numbers").status == 0
+
+    assert (tmp_path / "file" / "corrected.csv").read_text() == (tmp_path / "numbers" / "corrected.csv").read_text()
+    ended = torchrefrac(*given, *CALIBRATED, "camera=camera.json", "out=both")
+    assert "camera and focal_px are both given" in ended.err
+
+
 def test_positions_of_cameras_are_enough_and_what_is_not_known_is_said(torchrefrac, survey, metrics, tmp_path):
     rows = (f"{i},{x},{y},{z}" for i, (x, y, z) in enumerate(survey[1].center.tolist()))
     (tmp_path / "positions.csv").write_text("\n".join(("name,x,y,z", *rows)))

@@ -49,7 +49,7 @@ def aligned_without_water(draw):
     return make
 
 
-@pytest.mark.parametrize("land", [0.0, 0.5])
+@pytest.mark.parametrize("land", [0.0, 0.8])
 def test_what_is_left_and_what_was_before_are_foretold(aligned_without_water, land):
     true, given, cameras = aligned_without_water(land)
     level, wet = torch.zeros(len(given), dtype=torch.float64), torch.ones(len(given), dtype=torch.bool)
@@ -60,8 +60,9 @@ def test_what_is_left_and_what_was_before_are_foretold(aligned_without_water, la
 
     assert found is not None
     left, before = rms((corrected.points - true)[which]), rms((given - true)[which])
-    assert found.left == pytest.approx(left, rel=0.3)
-    assert found.before == pytest.approx(before, rel=0.3)
+    assert found.left == pytest.approx(left, rel=0.4)
+    assert found.before == pytest.approx(before, rel=0.2)
+    assert (left < before) == (land > 0.5)  # land holds the poses; else they take up the refraction
 
 
 def test_nothing_is_foretold_where_too_little_is_known(aligned_without_water):

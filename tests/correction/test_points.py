@@ -59,6 +59,24 @@ def test_a_point_that_a_ring_of_cameras_sees_is_exact(method):
     assert float(found.incidence) == pytest.approx(angle, abs=1e-12)
 
 
+def test_with_the_true_poses_little_is_left_and_least_by_rays(draw):
+    true = torch.cat((draw.uniform(-12.0, 12.0, 200, 2), draw.uniform(-4.5, -3.0, 200, 1)), dim=-1)
+    grid = torch.cartesian_prod(torch.linspace(-9.0, 9.0, 4), torch.linspace(-9.0, 9.0, 3)).double()
+    center = torch.cat((grid, draw.uniform(18.0, 22.0, 12, 1)), dim=-1)
+    offset, _ = lift_points(center, true[:, None], FlatInterface(N))
+    straight = torch.nn.functional.normalize(offset, dim=-1)
+    apparent, _ = points.triangulate(center.expand_as(straight), straight)  # as an ordinary dense matching does
+
+    left = {
+        method: float((correct(apparent, looking_down(center), method=method).points - true).norm(dim=-1).mean())
+        for method in ORACLES
+    }
+
+    before = float((apparent - true).norm(dim=-1).mean())
+    assert left["rays"] < 0.05 * before
+    assert left["rays"] < 0.5 * left["mean"]
+
+
 def test_sigma_is_how_far_points_scatter_whose_rays_have_that_error(draw):
     true = torch.tensor((0.0, 0.0, -3.0), dtype=torch.float64)
     center = ring(true, 6.0, 20.0)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
@@ -219,8 +219,7 @@ def _require_above(viewpoints: Viewpoints, water: WaterHeights) -> None:
     """Raise CorrectionError where no camera stands above the water."""
     height, known = water.at(viewpoints.center[:, :2])
     z = viewpoints.center[:, 2]
-    under: Bool[Tensor, " m"] = known & (z <= height)
-    if bool(under.all()):
+    if bool((known & (z <= height)).all()):
         raise CorrectionError(
             f"the water stands at {float(height.max()):g}, but all {len(viewpoints)} cameras are below it (the highest "
             f"at {float(z.max()):g}); give its height in the frame of the cloud and cameras"

@@ -12,8 +12,7 @@ from torchrefrac.files.paths import real_path
 from torchrefrac.files.run import RunRecord
 from torchrefrac.files.swap import alone, settle
 from torchrefrac.files.tracks import TRACKS, read_run
-from torchrefrac.files.viewpoints import write_angles, write_orientations
-from torchrefrac.files.viewpoints.read import viewpoints_of
+from torchrefrac.files.viewpoints import viewpoints_of, write_angles, write_orientations
 from torchrefrac.files.water import read_water, write_water
 from torchrefrac.scene import Interfaces, Scene, SceneError
 

@@ -67,6 +67,7 @@ def test_las_keeps_colours_classes_extra_bytes_and_the_bits_of_what_did_not_move
     tmp_path, coordinates, rewritten, name, kind
 ):
     laspy = pytest.importorskip("laspy")
+    from laspy.vlrs.vlrlist import VLRList  # noqa: PLC0415
     from pyproj import CRS  # noqa: PLC0415
 
     header = laspy.LasHeader(version=kind[0], point_format=kind[1])
@@ -77,6 +78,10 @@ def test_las_keeps_colours_classes_extra_bytes_and_the_bits_of_what_did_not_move
     given.x, given.y, given.z = coordinates.T
     given.red, given.classification, given.gps_time = COLORS.astype(np.uint16), COLORS, np.linspace(0.0, 1.0, COUNT)
     given["views"], given["score"] = COLORS, COLORS / 7.0
+    given.vlrs.append(laspy.VLR("someone", 7, "note", b"content"))
+    given.vlrs.append(laspy.VLR("copc", 1, "where points lie", b"no longer there"))
+    if kind[0] == "1.4":
+        given.evlrs = VLRList([laspy.VLR("someone", 8, "more", b"appended"), laspy.VLR("copc", 1000, "", b"tree")])
     given.write(tmp_path / name)
 
     target, seen = rewritten(tmp_path / name)
@@ -93,6 +98,10 @@ def test_las_keeps_colours_classes_extra_bytes_and_the_bits_of_what_did_not_move
         assert np.array_equal(found[dimension], given[dimension])
     assert np.array_equal(found["depth"], DEPTH, equal_nan=True)
     assert np.array_equal(found["corrected_views"], MOVED.astype(np.float32))
+    assert [
+        (record.record_id, record.record_data) for record in found.vlrs if record.user_id in ("someone", "copc")
+    ] == [(7, b"content")]
+    assert [record.record_data for record in found.evlrs or ()] == ([b"appended"] if kind[0] == "1.4" else [])
     described = {dimension.name: dimension.description for dimension in found.point_format.extra_dimensions}
     assert described["depth"] == "below the water (m)"
     np.testing.assert_allclose(found.header.mins, lowered(coordinates).min(axis=0), atol=0.6e-3)

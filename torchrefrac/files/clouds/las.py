@@ -1,6 +1,6 @@
 """LAS and LAZ: fields are extra bytes (float32)."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
@@ -36,9 +36,11 @@ class LasCloud:
 
     def rewrite(self, target: Path, change: Change, fields: Mapping[str, str]) -> None:
         import laspy  # noqa: PLC0415 - of an extra
+        from laspy.vlrs.vlrlist import VLRList  # noqa: PLC0415
 
         with _opened(self.path) as source, replacing(target) as temporary:
             header = deepcopy(source.header)
+            header.vlrs, appended = _general(source.header.vlrs), _general(source.evlrs or ())
             names = free_names(fields, header.point_format.dimension_names)
             extra = [laspy.ExtraBytesParams(names[name], "f4", description=what) for name, what in fields.items()]
             header.add_extra_dims(extra)
@@ -53,8 +55,8 @@ class LasCloud:
                     for name, values in changed.fields.items():
                         record.array[names[name]] = values.numpy()
                     file.write_points(record)
-                if source.evlrs:
-                    file.write_evlrs(source.evlrs)
+                if appended:
+                    file.write_evlrs(VLRList(appended))
 
     def _move(
         self, record: Any, coordinates: Float[np.ndarray, "n 3"], moved: Bool[np.ndarray, " n"], header: Any
@@ -81,6 +83,12 @@ def _opened(path: Path) -> Iterator[Any]:
             yield file
     except (LaspyException, LazrsError, EOFError) as error:
         raise CloudError(f"{path} cannot be read as LAS: {' '.join(str(error).split())}") from None
+
+
+def _general(records: Iterable[Any]) -> list[Any]:
+    """Those that do not say where points lie in the file: a cloud optimised for the cloud (COPC) comes out as plain
+    LAZ."""
+    return [record for record in records if record.user_id.lower() != "copc"]
 
 
 def _system(header: Any) -> str | None:
