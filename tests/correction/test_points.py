@@ -107,7 +107,7 @@ def test_points_without_water_or_cameras_stay_to_the_last_bit(survey):
     given, cameras, level = survey
     given[::4, 2] = 1.0 / 3.0  # above the water
     given[1::4, 0] += 1e4  # where no camera looks
-    given[2::4] = torch.nan
+    given[2::4, 0] = torch.nan
     wet = torch.ones(100, dtype=torch.bool)
     wet[3::8] = False
 

@@ -67,12 +67,14 @@ def correct_cloud(options: CorrectOptions, recorder: Recorder) -> dict[str, Any]
                 work = _Work(water, viewpoints, options, advance)
                 cloud.rewrite(temporary, work.change, FIELDS)
             work.require_something(path)
-            found = work.forecast(recorder) if options.forecast else None
         about = {"status": "complete", "stages": [], "command": "correct", "cloud": str(real_path(path)),
                  "cameras": str(real_path(options.cameras)), "method": options.method}  # fmt: skip
         unit = length_unit(options.crs or cloud.crs)
         metrics = about | {"index_ratio": options.index_ratio, "length_unit": unit, "images": len(viewpoints)}
-        metrics |= total_metrics(work.totals, unit) | work.missing | forecast_metrics(found, unit)
+        metrics |= total_metrics(work.totals, unit) | work.missing
+        RunRecord.of(folder, metrics).write()  # the cloud is complete, whatever becomes of what is said of it
+        if options.forecast:
+            metrics |= forecast_metrics(work.forecast(recorder), unit)
         metrics["seconds_total"] = round(time.perf_counter() - start, 3)
         RunRecord.of(folder, metrics).write()
     return metrics

@@ -64,6 +64,8 @@ def forecast_errors(
     mean = torch.cat((viewpoints.center[:, :2].mean(dim=0), level.mean()[None]))
     lowered = torch.stack((torch.zeros_like(level), torch.zeros_like(level), level - mean[2]), dim=-1)
     viewpoints = replace(viewpoints, center=viewpoints.center - mean)
+    if bool((viewpoints.center[:, 2] <= 0.0).any()):
+        return None
     given, better = points - mean - lowered, corrected.points - mean - lowered
     try:
         bed, missed = _bed(given, better, seen, viewpoints, rules.index_ratio)

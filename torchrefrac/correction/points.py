@@ -90,7 +90,7 @@ def correct_points(
     level: height of the surface, taken as horizontal, above or below each point; wet: where there is water. float64.
     A point that fewer cameras see than the rules want, or whose rays do not meet below the surface, is not corrected.
     """
-    below = wet & (points[:, 2] < level)
+    below = wet & (points[:, 2] < level) & points.isfinite().all(dim=-1)
     rows = below.nonzero()[:, 0]
     rows = rows[morton_code(points[rows]).argsort()]
     n = len(points)
