@@ -65,6 +65,20 @@ def test_what_is_left_and_what_was_before_are_foretold(aligned_without_water, la
     assert (left < before) == (land > 0.5)  # land holds the poses; else they take up the refraction
 
 
+def test_what_lies_beyond_the_water_changes_nothing(aligned_without_water):
+    _, given, cameras = aligned_without_water(0.0)
+    far = given.new_tensor((0.0, 0.0, 400.0))
+    level, wet = torch.full_like(given[:, 2], 400.0), torch.ones(len(given), dtype=torch.bool)
+    on_map = replace(cameras, center=cameras.center + far)
+    alone = forecast_errors(given + far, level, wet, on_map, RULES)
+    beside = torch.cat((given, given)) + far
+
+    both = forecast_errors(beside, torch.cat((level, torch.zeros_like(level))), torch.cat((wet, ~wet)), on_map, RULES)
+
+    assert alone is not None
+    assert both == alone
+
+
 def test_nothing_is_foretold_where_too_little_is_known(aligned_without_water):
     _, given, cameras = aligned_without_water()
     level, wet = torch.zeros(len(given), dtype=torch.float64), torch.ones(len(given), dtype=torch.bool)

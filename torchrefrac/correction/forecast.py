@@ -18,6 +18,7 @@ from torchrefrac.camera import Intrinsics
 from torchrefrac.correction.points import correct_points
 from torchrefrac.correction.rules import CorrectionRules
 from torchrefrac.geometry import Rigid, align_similarity
+from torchrefrac.numerics import thin
 from torchrefrac.scene import Cameras, Interfaces, Observations, Scene, Survey, Viewpoints
 from torchrefrac.sfm import ReadjustOptions, readjust
 from torchrefrac.sfm.frame import transformed
@@ -49,42 +50,44 @@ def forecast_errors(
 ) -> Forecast | None:
     """Of some apparent points, as `correct_points` takes them; None where cameras are not calibrated, too few points or
     cameras take part, or no bed gives these points."""
-    if rules.index_ratio == 1.0 or viewpoints.rotation is None or viewpoints.field is None:
+    known = viewpoints.rotation is not None and viewpoints.field is not None
+    if not known or rules.index_ratio == 1.0 or not bool(wet.any()):
         return None
-    viewpoints = _around_the_busiest(points, viewpoints[viewpoints.field.isfinite().all(dim=-1)])
-    seen = viewpoints.see(points[:, None] - viewpoints.center) & (viewpoints.center[:, 2] > level[:, None])
+    level = level.where(wet, level[wet].mean())
+    rows = (wet | (points[:, 2] >= level)).nonzero()[:, 0]  # what lies lower beside the water is no bed
+    points, level, wet = points[rows], level[rows], wet[rows]
+    viewpoints = _around_the_busiest(points, viewpoints, level)
+    seen = viewpoints.see(points[:, None] - viewpoints.center)
     rows = (seen.sum(dim=-1) >= FEWEST_VIEWS).nonzero()[:, 0]
-    rows = rows[torch.linspace(0, max(len(rows) - 1, 0), min(len(rows), MOST_POINTS)).round().long()]
-    if len(viewpoints) < FEWEST_CAMERAS or len(rows) < FEWEST_POINTS:
-        return None
+    rows = thin(rows, MOST_POINTS)
     points, level, wet, seen = points[rows], level[rows], wet[rows], seen[rows]
     corrected = correct_points(points, level, wet, viewpoints, rules)
-    if int(corrected.corrected.sum()) < FEWEST_POINTS:
+    which = corrected.corrected
+    if len(viewpoints) < FEWEST_CAMERAS or int(which.sum()) < FEWEST_POINTS:
         return None
     mean = torch.cat((viewpoints.center[:, :2].mean(dim=0), level.mean()[None]))
     lowered = torch.stack((torch.zeros_like(level), torch.zeros_like(level), level - mean[2]), dim=-1)
     viewpoints = replace(viewpoints, center=viewpoints.center - mean)
-    if bool((viewpoints.center[:, 2] <= 0.0).any()):
-        return None
     given, better = points - mean - lowered, corrected.points - mean - lowered
     try:
         bed, missed = _bed(given, better, seen, viewpoints, rules.index_ratio)
     except UnadjustableError:
         return None
-    which = corrected.corrected
     left, before, rest = (_rms(values[which]) for values in (better - bed, given - bed, missed))
     if not rest <= LOOSE * max(left, before):
         return None
     return Forecast(left, before, float(bed[which, 2].square().mean().sqrt()))
 
 
-def _around_the_busiest(points: Float[Tensor, "n 3"], viewpoints: Viewpoints) -> Viewpoints:
-    """The camera that sees most of the points, and those around it."""
-    if not len(viewpoints):
-        return viewpoints
-    busiest = int(viewpoints.see(points[:, None] - viewpoints.center).sum(dim=0).argmax())
-    away = (viewpoints.center - viewpoints.center[busiest]).norm(dim=-1)
-    return viewpoints[away.argsort()[:MOST_CAMERAS]]
+def _around_the_busiest(points: Float[Tensor, "n 3"], viewpoints: Viewpoints, level: Float[Tensor, " n"]) -> Viewpoints:
+    """Of calibrated cameras above the water the one that sees most of the points, and those around it."""
+    assert viewpoints.field is not None
+    usable = viewpoints[viewpoints.field.isfinite().all(dim=-1) & (viewpoints.center[:, 2] > level.max())]
+    if not len(usable):
+        return usable
+    busiest = int(usable.see(points[:, None] - usable.center).sum(dim=0).argmax())
+    away = (usable.center - usable.center[busiest]).norm(dim=-1)
+    return usable[away.argsort()[:MOST_CAMERAS]]
 
 
 def _bed(
