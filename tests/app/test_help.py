@@ -12,7 +12,10 @@ from torchrefrac.cli.conf import CONF, first_comment, read_options
 
 FILES = sorted(CONF.rglob("*.yaml"))
 NAMES = [path.relative_to(CONF).as_posix() for path in FILES]
-ROOTS = {"config.yaml": (), **{f"{name}.yaml": (name,) for name in ("adjust", "calibrate", "densify", "import")}}
+ROOTS = {
+    "config.yaml": (),
+    **{f"{name}.yaml": (name,) for name in ("adjust", "calibrate", "correct", "densify", "export", "import")},
+}
 
 
 def _leaves(values, name=""):

@@ -9,19 +9,21 @@ import pytest
 
 from torchrefrac.bundle import BundleOptions
 from torchrefrac.config import AdjustOptions, DensifyOptions, OptionError, Options, OutputOptions, build, build_scene
+from torchrefrac.config.clouds import CorrectOptions
 from torchrefrac.config.importing import CalibrateOptions, ImportOptions
 from torchrefrac.synthetic.scenes import SCENES
 
 NONSENSE = (math.nan, math.inf, -1, 10**12, -(10**400))
 ALLOWED = {("plane.offset", -1), ("plane.normal", -1), ("plane.normal", 10**12), ("bundle.solver.max_damping", 10**12)}
 ALLOWED |= {("sfm." + name, value) for name, value in ALLOWED}
-ALLOWED |= {("water_level", -1), ("take_off_above_water", -1)}
+ALLOWED |= {("water.level", -1), ("water_level", -1), ("take_off_above_water", -1)}
 ALLOWED |= {("seed", 10**12), ("inertial.gravity_bias_deg", -1), ("plane_tilt_deg", -1), ("camera.distortion", -1)}
 REQUIRED = {
     Options: {},
     AdjustOptions: {"alignment": "a", "out": "b"},
     DensifyOptions: {"run": "a"},
     ImportOptions: {"photos": "a", "out": "b"},
+    CorrectOptions: {"cloud": "a", "cameras": "b", "out": "c"},
     CalibrateOptions: {"photos": "a", "out": "b", "columns": 9, "rows": 6, "square": 30.0},
     **{scene: {"name": "a"} for scene in SCENES.values()},
 }

@@ -70,6 +70,7 @@ def _benches(data: Path, ceres: Path | None) -> dict[str, list[str]]:
         "dense": with_tank,
         "uncertainty": [],
         "rendering": [],
+        "correct": [],
     }
     if photographs.is_dir():
         benches["photographs"] = [str(photographs)]

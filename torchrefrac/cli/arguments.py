@@ -12,8 +12,8 @@ from torchrefrac.cli.conf import CONF
 QUIET = ("-q", "--quiet")
 MULTIRUN = ("-m", "--multirun")
 PATHS = (
-    "alignment", "cache", "camera", "capture", "out", "photos", "run", "scene.file", "scene.path", "survey", "table",
-    "truth", "water.path",
+    "alignment", "cache", "camera", "cameras", "capture", "cloud", "out", "photos", "run", "scene.file", "scene.path",
+    "survey", "table", "truth", "water.path", "water.surface",
 )  # fmt: skip
 """The options that are names of files and folders."""
 SEVERAL = ("photos",)

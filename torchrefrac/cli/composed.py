@@ -6,6 +6,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from torchrefrac.config import AdjustOptions, DensifyOptions, Options, OutputOptions, RunOptions, build, build_scene
+from torchrefrac.config.clouds import CorrectOptions, ExportOptions
 from torchrefrac.config.importing import CalibrateOptions, ImportOptions
 
 
@@ -35,6 +36,16 @@ def import_options(config: DictConfig) -> ImportOptions:
 def calibrate_options(config: DictConfig) -> CalibrateOptions:
     """The typed options of a composed configuration of `torchrefrac calibrate`."""
     return build(CalibrateOptions, _plain(config))
+
+
+def correct_options(config: DictConfig) -> CorrectOptions:
+    """The typed options of a composed configuration of `torchrefrac correct`."""
+    return build(CorrectOptions, _plain(config))
+
+
+def export_options(config: DictConfig) -> ExportOptions:
+    """The typed options of a composed configuration of `torchrefrac export`."""
+    return build(ExportOptions, _plain(config))
 
 
 def _plain(config: DictConfig) -> Any:

@@ -9,11 +9,13 @@ from omegaconf.errors import MissingMandatoryValue
 
 from hydra_plugins.torchrefrac_sweeper.messages import one_sentence
 from torchrefrac.bundle import UnadjustableError
+from torchrefrac.commands.correct import CorrectionError
 from torchrefrac.commands.memory import MemoryLackError
 from torchrefrac.commands.reconstruct import ReconstructionError
 from torchrefrac.commands.results import OutRefusedError, holds_nothing
 from torchrefrac.config import OptionError
 from torchrefrac.dense import DenseError
+from torchrefrac.files.clouds import CloudError
 from torchrefrac.files.run import METRICS, RunRecordError
 from torchrefrac.files.swap import FolderInUseError
 from torchrefrac.scene import CaptureError, SceneError, SurveyError
@@ -21,8 +23,9 @@ from torchrefrac.sfm import NoInitialPairError
 from torchrefrac.sweeps.folder import SweepError, append_traceback, write_failure
 
 EXPECTED = (
-    CaptureError, DenseError, FolderInUseError, MemoryLackError, MissingMandatoryValue, NoInitialPairError, OptionError,
-    OSError, ReconstructionError, RunRecordError, SceneError, SurveyError, SweepError, UnadjustableError,
+    CaptureError, CloudError, CorrectionError, DenseError, FolderInUseError, MemoryLackError, MissingMandatoryValue,
+    NoInitialPairError, OptionError, OSError, ReconstructionError, RunRecordError, SceneError, SurveyError, SweepError,
+    UnadjustableError,
 )  # fmt: skip
 """Errors whose message is for the user; all others are bugs, and come with a traceback."""
 

@@ -92,6 +92,16 @@ def require_own(folder: Path, adjusts: bool = False, dense_alone: bool = False) 
         raise OutRefusedError(f"{folder} holds {name}, which no run has written; name another folder as out")
 
 
+def require_replaceable(folder: Path, command: str, names: Iterable[str]) -> None:
+    """Raise OutRefusedError where files of these names, which a command writes whole and at once, would replace any
+    that it has not written itself."""
+    record = run_record(folder)
+    if record is not None and record.command == command:
+        return
+    for name in _present(folder, (METRICS, *names)):
+        raise OutRefusedError(f"{folder} holds {name}, which no {command} has written; name another folder as out")
+
+
 def require_outside(folder: Path, capture: Path) -> None:
     """Raise OutRefusedError where results in `folder` would lie among the photographs of a capture."""
     into, given = real_path(folder), real_path(capture)

@@ -1,6 +1,7 @@
 """PLY files of points and triangles: binary, one record of plain numbers a vertex, read and written without a loop."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ NAMES: dict[str, str] = dict(
 )
 NEWER_NAMES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")
 TYPES = {name: kind for kind, name in (*NAMES.items(), *zip(KINDS, NEWER_NAMES, strict=True))}
-BYTE_ORDERS = {"format binary_little_endian 1.0": "<", "format binary_big_endian 1.0": ">"}
+FORMATS = {"format binary_little_endian 1.0": "<", "format binary_big_endian 1.0": ">", "format ascii 1.0": ""}
+"""Byte order of the numbers; none where they are text."""
 TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 LONGEST_HEADER = 1 << 16
 FLOAT_STEPS = 1e6  # a float32 of this many standard deviations is rounded by 0.06 of one at most
@@ -69,6 +71,30 @@ def write_vertices(
         triangles.tofile(file)
 
 
+@dataclass(frozen=True)
+class PlyHeader:
+    """What a PLY file says of itself: its lines, the record of a vertex, how many there are and where they begin.
+
+    order: "<" or ">", the order of the bytes of numbers, or nothing where they are text. ends_here: whether vertices
+    are all there is.
+    """
+
+    lines: tuple[str, ...]
+    vertex: np.dtype
+    count: int
+    start: int
+    order: str
+    ends_here: bool
+
+    @property
+    def is_text(self) -> bool:
+        return not self.order
+
+    @property
+    def comments(self) -> tuple[str, ...]:
+        return tuple(line.removeprefix("comment").strip() for line in self.lines if line.startswith("comment"))
+
+
 def read_vertices(path: Path, mapped: bool = False) -> tuple[Shaped[np.ndarray, " n"], tuple[str, ...]]:
     """The vertices of a binary PLY file, a structured array with a field for each property, and its comments.
 
@@ -76,38 +102,46 @@ def read_vertices(path: Path, mapped: bool = False) -> tuple[Shaped[np.ndarray, 
     over. Raises DenseFileError where the file is missing, is no binary PLY file, has a list among the properties of its
     vertices, or holds fewer bytes than its header says (or, where the vertices are all it has, more).
     """
+    header = read_header(path)
+    if header.is_text:
+        raise DenseFileError(f"{path} is not a binary PLY file of version 1.0; write it as binary_little_endian")
+    require_whole(header, path)
+    if mapped and header.count:
+        in_file = np.memmap(path, dtype=header.vertex, mode="r", offset=header.start, shape=(header.count,))
+        return in_file, header.comments
+    with path.open("rb") as file:
+        file.seek(header.start)
+        return np.fromfile(file, dtype=header.vertex, count=header.count), header.comments
+
+
+def require_whole(header: PlyHeader, path: Path) -> None:
+    """Raise DenseFileError where a binary PLY file does not hold the vertices that its header promises."""
+    size, wanted = path.stat().st_size - header.start, header.count * header.vertex.itemsize
+    if size < wanted or (header.ends_here and size > wanted):
+        raise DenseFileError(
+            f"{path} is damaged: it has {size} bytes behind its header, but {header.count} vertices take {wanted}"
+        )
+
+
+def read_header(path: Path) -> PlyHeader:
+    """The header of a PLY file of version 1.0 that begins with its vertices. Raises DenseFileError where the file is
+    missing or is none, or a property of a vertex is a list."""
     try:
         with path.open("rb") as file:
             start = file.read(LONGEST_HEADER)
-            dtype, count, comments, offset, ends_here = _header(start, path)
-            file.seek(0, 2)
-            size, wanted = file.tell() - offset, count * dtype.itemsize
-            if size < wanted or (ends_here and size > wanted):
-                raise DenseFileError(
-                    f"{path} is damaged: it has {size} bytes behind its header, but {count} vertices take {wanted}"
-                )
-            if mapped and count:
-                return np.memmap(path, dtype=dtype, mode="r", offset=offset, shape=(count,)), comments
-            file.seek(offset)
-            return np.fromfile(file, dtype=dtype, count=count), comments
     except OSError as error:
         raise DenseFileError(f"{path} cannot be read: {error.strerror}") from None
-
-
-def _header(start: bytes, path: Path) -> tuple[np.dtype, int, tuple[str, ...], int, bool]:
-    """Record, number of vertices, comments, where the vertices begin, and whether they are all there is."""
     end = start.find(b"\nend_header")
     end_of_line = start.find(b"\n", end + 1)
     if not start.startswith((b"ply\n", b"ply\r\n")) or end < 0 or end_of_line < 0:
         raise DenseFileError(f"{path} is not a PLY file: it has no header from 'ply' to 'end_header'")
     try:
-        lines = start[:end].decode("utf-8").splitlines()
+        lines = tuple(start[:end].decode("utf-8").splitlines())
     except UnicodeDecodeError:
         raise DenseFileError(f"{path} is damaged: its header is not text") from None
-    order = next((BYTE_ORDERS[line.strip()] for line in lines if line.strip() in BYTE_ORDERS), None)
+    order = next((FORMATS[line.strip()] for line in lines if line.strip() in FORMATS), None)
     if order is None:
         raise DenseFileError(f"{path} is not a binary PLY file of version 1.0; write it as binary_little_endian")
-    comments = tuple(line.removeprefix("comment").strip() for line in lines if line.startswith("comment"))
     elements: list[list[str]] = []
     fields: list[tuple[str, str]] = []
     for line in lines:
@@ -124,4 +158,4 @@ def _header(start: bytes, path: Path) -> tuple[np.dtype, int, tuple[str, ...], i
     if name != "vertex" or not count.isdecimal() or not fields or len(dict(fields)) != len(fields):
         wanted = "'element vertex' and its number, and properties of different names"
         raise DenseFileError(f"{path} must begin with {wanted}")
-    return np.dtype(fields), int(count), comments, end_of_line + 1, len(elements) == 1
+    return PlyHeader(lines, np.dtype(fields), int(count), end_of_line + 1, order, len(elements) == 1)

@@ -19,10 +19,13 @@ from torchrefrac.scene.scene import (
 from torchrefrac.scene.survey import Survey, Surveyed, SurveyError, with_measured
 from torchrefrac.scene.tables import Cameras, Observations, Views
 from torchrefrac.scene.truth import Truth, TruthPoints
+from torchrefrac.scene.viewpoints import Viewpoints, field_of_view
+from torchrefrac.scene.water_heights import GridWater, LevelWater, MeshWater, WaterHeights
 
 __all__ = [
     "Assessment", "Cameras", "Capture", "CaptureError", "DenseCloud", "DepthMap", "Finding", "Georeference",
-    "Interfaces", "Observations", "Part", "Raster", "Scene", "SceneError", "Survey", "SurveyError", "Surveyed",
-    "Truth", "TruthPoints", "Views", "WarningCode", "WaterExtent", "largest_deviation", "mean_deviation",
-    "reprojection_errors", "with_measured",
+    "GridWater", "Interfaces", "LevelWater", "MeshWater", "Observations", "Part", "Raster", "Scene", "SceneError",
+    "Survey", "SurveyError", "Surveyed", "Truth", "TruthPoints", "Viewpoints", "Views", "WarningCode",
+    "WaterExtent", "WaterHeights", "field_of_view", "largest_deviation", "mean_deviation", "reprojection_errors",
+    "with_measured",
 ]  # fmt: skip

@@ -76,11 +76,11 @@ def cam_from_world(
 
 
 def angles_of(
-    cam_from_world: Float[Tensor, "*batch 3 3"],
+    cam_from_world: Float[Tensor, "*batch 3 3"], mount: Mount = Mount.FORWARD
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
-    """Yaw, pitch and roll of a gimbal, radians: the inverse of the function above for a camera that looks forward."""
+    """Yaw, pitch and roll, radians: the inverse of the function above."""
     cam_from_body, down_from_world = (
-        cam_from_world.new_tensor(rows) for rows in (Mount.FORWARD.value, NORTH_EAST_DOWN_FROM_WORLD)
+        cam_from_world.new_tensor(rows) for rows in (mount.value, NORTH_EAST_DOWN_FROM_WORLD)
     )
     body = cam_from_body.mT @ cam_from_world @ down_from_world.mT
     forward, side, belly = body.unbind(dim=-2)

@@ -1,0 +1,78 @@
+"""The cameras of a run for other programs."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from torchrefrac.commands.results import MODEL, WATER, require_replaceable
+from torchrefrac.config.clouds import ExportOptions
+from torchrefrac.files.cameras import CAMERAS, read_cameras
+from torchrefrac.files.colmap.model import STEMS, find_colmap, read_colmap, write_colmap
+from torchrefrac.files.paths import real_path
+from torchrefrac.files.run import RunRecord
+from torchrefrac.files.swap import alone, settle
+from torchrefrac.files.tracks import TRACKS, read_run
+from torchrefrac.files.viewpoints import viewpoints_of, write_angles, write_orientations
+from torchrefrac.files.water import read_water, write_water
+from torchrefrac.scene import Interfaces, Scene, SceneError
+
+TABLES = {"opk": "cameras_opk.txt", "csv": "cameras.csv"}
+
+
+def export_cameras(options: ExportOptions) -> dict[str, Any]:
+    """Write the registered cameras of a run, or of an adjustment, into the folder `out`, and water.json beside them;
+    returns what metrics.json there says.
+
+    A COLMAP model is in the frame of the run, with its points; tables are on the map where the run says where it
+    stands. Raises SceneError or OutRefusedError.
+    """
+    scene, folder = _read(Path(options.run)), Path(options.out)
+    place = None if options.format == "colmap" else scene.georeference
+    table = TABLES.get(options.format)
+    files = [table] if table else [f"{stem}.txt" for stem in STEMS]
+    folder.mkdir(parents=True, exist_ok=True)
+    with alone(folder):
+        require_replaceable(folder, "export", (*files, WATER))
+        if table is None:
+            write_colmap(scene, folder)
+        else:
+            viewpoints = viewpoints_of(scene, None if place is None else place.name)
+            covariance = scene.assessment.center_covariance
+            if options.format == "opk":
+                write_angles(viewpoints, folder / table)
+            else:
+                sigma = None if covariance is None else covariance.diagonal(dim1=1, dim2=2).clamp(min=0.0).sqrt()
+                write_orientations(viewpoints, folder / table, sigma)
+        if place is not None:
+            scene = replace(scene, interfaces=Interfaces.level(scene.index_ratio, place.origin[2]))
+        write_water(scene, folder / WATER)
+        metrics = {
+            "status": "complete",
+            "stages": [],
+            "command": "export",
+            "run": str(real_path(options.run)),
+            "format": options.format,
+            "files": [*files, WATER],
+            "images": len(scene.views),
+            "length_unit": scene.length_unit,
+        }
+        if place is not None:
+            metrics["crs"] = place.name
+        RunRecord.of(folder, metrics).write()
+    return metrics
+
+
+def _read(folder: Path) -> Scene:
+    """Registered views, with their points where the folder has them."""
+    if not folder.is_dir():
+        raise SceneError(f"{folder} is not a folder, but run must be that of a run or of an adjustment")
+    settle(folder)
+    if (folder / CAMERAS).is_file():
+        scene = read_run(folder) if (folder / TRACKS).is_file() else read_cameras(folder / CAMERAS)
+        return scene.of_views(scene.views.registered)
+    if find_colmap(folder / MODEL) is None or not (folder / WATER).is_file():
+        raise SceneError(f"{folder} holds neither {CAMERAS} nor {MODEL}/ with {WATER}; name the folder of a run")
+    scene = read_colmap(folder / MODEL)
+    interfaces, rows = read_water(folder / WATER, scene.views.names)
+    unit = RunRecord.read(folder).length_unit or scene.length_unit
+    return replace(scene, interfaces=interfaces, views=replace(scene.views, interface=rows), length_unit=unit)
