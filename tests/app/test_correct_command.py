@@ -13,11 +13,14 @@ from torchrefrac.correction import CorrectionRules, correct_points
 from torchrefrac.files.cameras import read_cameras, write_points
 from torchrefrac.files.clouds import ply as ply_files
 from torchrefrac.files.colmap.model import read_colmap, write_colmap
+from torchrefrac.files.dense import write_dense
 from torchrefrac.files.library import embedded_scene
 from torchrefrac.files.ply import read_vertices
+from torchrefrac.files.tracks import read_run
 from torchrefrac.files.viewpoints import read_viewpoints, write_angles
 from torchrefrac.files.water import read_water
 from torchrefrac.geometry import align_similarity
+from torchrefrac.scene import DenseCloud
 from torchrefrac.sfm.frame import transformed
 
 LEVEL = 400.5
@@ -312,3 +315,32 @@ def _from_planes(truth, points):
     """Root mean square distance from the nearest of the true planes."""
     away = ((points[:, None] - truth.corner) * truth.normal).sum(dim=-1).abs().amin(dim=-1)
     return away.square().mean().sqrt()
+
+
+def test_products_of_a_survey_are_made_from_a_run_that_is_dense(torchrefrac, sparse, tmp_path):
+    pytest.importorskip("laspy")
+    run = tmp_path / "run"
+    shutil.copytree(sparse / "run", run)
+    scene = read_run(run)
+    x, y = torch.meshgrid(*(torch.arange(0.0, 20.0, 0.5, dtype=torch.float64),) * 2, indexing="ij")
+    points = torch.stack((x.flatten(), y.flatten(), torch.full((x.numel(),), -5.0, dtype=torch.float64)), dim=-1)
+    ones, count = torch.ones(len(points), dtype=torch.float64), torch.full((len(points),), 3)
+    up, grey = torch.tensor((0.0, 0.0, 1.0)).double().expand(len(points), 3), torch.full((len(points), 3), 99)
+    reference = torch.zeros_like(count)
+    cloud = DenseCloud(
+        points, up, grey.to(torch.uint8), 0.1 * ones, ones, count, reference, 0.1 * ones, scene.length_unit,
+    )  # fmt: skip
+
+    missing = torchrefrac("export", "run=run", "format=survey", "out=rasters")
+    write_dense(cloud, run / "dense.ply")
+    ended = torchrefrac(
+        "export", "run=run", "format=survey", "outputs.raster_cell=1", "outputs.orthophoto=false", "out=rasters"
+    )
+
+    assert missing.status == 1
+    assert "run holds no dense.ply: make it dense first" in missing.err
+    assert ended.status == 0, ended.err
+    made = {path.name for path in (tmp_path / "rasters").iterdir()}
+    assert made >= {"dense.laz", "points.laz", "dsm.tif", "depth.tif", "sigma.tif", "contours.geojson", "metrics.json"}
+    assert "orthophoto.tif" not in made
+    assert "bed: " in ended.out

@@ -9,7 +9,7 @@ from torchrefrac.cli.commands import may_fail
 from torchrefrac.cli.composed import correct_options, export_options
 from torchrefrac.cli.conf import CONF
 from torchrefrac.commands.correct import correct_cloud
-from torchrefrac.commands.export import export_cameras
+from torchrefrac.commands.export import export_run
 from torchrefrac.commands.memory import memory_lack_explained
 from torchrefrac.record.correction_lines import correction_lines, export_lines
 from torchrefrac.record.summary import summary
@@ -30,8 +30,8 @@ def correct(config: DictConfig) -> None:
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="export")
 def export(config: DictConfig) -> None:
     """`torchrefrac export`."""
-    with may_fail():
+    with may_fail(), memory_lack_explained():
         options = export_options(config)
-        metrics = export_cameras(options)
+        metrics = export_run(options, SilentRecorder() if options.quiet else TerminalRecorder())
         if not options.quiet:
             print(summary([*export_lines(metrics), f"written to {os.path.relpath(options.out)}"]))

@@ -4,28 +4,34 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from torchrefrac.commands.densify import open_run
 from torchrefrac.commands.results import MODEL, WATER, require_replaceable
+from torchrefrac.commands.survey_products import require_place, write_survey_products
 from torchrefrac.config.clouds import ExportOptions
 from torchrefrac.files.cameras import CAMERAS, read_cameras
 from torchrefrac.files.colmap.model import STEMS, find_colmap, read_colmap, write_colmap
+from torchrefrac.files.dense import DenseFile
 from torchrefrac.files.paths import real_path
-from torchrefrac.files.run import RunRecord
+from torchrefrac.files.run import DENSE_CLOUD, FOR_SURVEYS, RunRecord
 from torchrefrac.files.swap import alone, settle
 from torchrefrac.files.tracks import TRACKS, read_run
 from torchrefrac.files.viewpoints import viewpoints_of, write_angles, write_orientations
 from torchrefrac.files.water import read_water, write_water
+from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Interfaces, Scene, SceneError
 
 TABLES = {"opk": "cameras_opk.txt", "csv": "cameras.csv"}
 
 
-def export_cameras(options: ExportOptions) -> dict[str, Any]:
-    """Write the registered cameras of a run, or of an adjustment, into the folder `out`, and water.json beside them;
-    returns what metrics.json there says.
+def export_run(options: ExportOptions, recorder: Recorder | None = None) -> dict[str, Any]:
+    """Write the registered cameras of a run, or of an adjustment, into the folder `out`, and water.json beside them, or
+    the products of its dense surface; returns what metrics.json there says.
 
     A COLMAP model is in the frame of the run, with its points; tables are on the map where the run says where it
     stands. Raises SceneError or OutRefusedError.
     """
+    if options.format == "survey":
+        return export_products(options, recorder or SilentRecorder())
     scene, folder = _read(Path(options.run)), Path(options.out)
     place = None if options.format == "colmap" else scene.georeference
     table = TABLES.get(options.format)
@@ -58,6 +64,27 @@ def export_cameras(options: ExportOptions) -> dict[str, Any]:
         }
         if place is not None:
             metrics["crs"] = place.name
+        RunRecord.of(folder, metrics).write()
+    return metrics
+
+
+def export_products(options: ExportOptions, recorder: Recorder) -> dict[str, Any]:
+    """Write what a survey takes from the dense surface of a run, which stays in its file; returns what metrics.json
+    there says. Raises OptionError, SceneError, CaptureError, DenseError or OutRefusedError."""
+    run, folder = Path(options.run), Path(options.out)
+    if not (run / DENSE_CLOUD).is_file():
+        raise SceneError(f"{run} holds no {DENSE_CLOUD}: make it dense first, by torchrefrac densify run={run}")
+    settle(run)
+    needs_photographs = options.outputs.geotiff and options.outputs.orthophoto
+    scene = open_run(run, options.capture).scene if needs_photographs else read_run(run)
+    require_place(options.outputs, scene.georeference)
+    folder.mkdir(parents=True, exist_ok=True)
+    with alone(folder):
+        require_replaceable(folder, "export", FOR_SURVEYS)
+        known = write_survey_products(DenseFile(run / DENSE_CLOUD), scene, options.outputs, folder, recorder)
+        files = [name for name in FOR_SURVEYS if (folder / name).is_file()]
+        about = {"status": "complete", "stages": [], "command": "export", "run": str(real_path(options.run))}
+        metrics = about | {"format": options.format, "files": files, "length_unit": scene.length_unit} | known
         RunRecord.of(folder, metrics).write()
     return metrics
 

@@ -19,7 +19,7 @@ from torchrefrac.dense.tiles import Tile, count_tiles, raster_tiles
 from torchrefrac.evaluate.survey_orders import BedStatistics, vertical_uncertainty
 from torchrefrac.files.contours import write_contours
 from torchrefrac.files.geotiff import BandFile, Place, band_file, color_file
-from torchrefrac.files.las import LasPoints, PointClass, extent_of, write_las
+from torchrefrac.files.las import Extra, LasPoints, PointClass, extent_of, write_las
 from torchrefrac.files.run import CONTOURS, DENSE_LAZ, POINTS_LAZ, RASTERS
 from torchrefrac.numerics import thin
 from torchrefrac.recorder import Recorder
@@ -193,7 +193,7 @@ def tie_points(scene: Scene, place: Georeference) -> LasPoints:
     """The sparse points of a scene as they are written on the map."""
     rows = scene.placed.nonzero()[:, 0]
     points, unit = scene.points[rows], scene.length_unit
-    extra: dict[str, tuple[Tensor, str]] = {
+    extra: Extra = {
         "depth": ((-points[:, 2]).clamp(min=0.0), f"below the water's surface ({unit})"),
         "views": (scene.sightings()[rows], "images that see it"),
     }
@@ -206,17 +206,14 @@ def tie_points(scene: Scene, place: Georeference) -> LasPoints:
     return LasPoints(place.coordinates(points), scene.colors[rows], classes, extra)
 
 
-def _axes(sigma: Float[Tensor, "n 3"], unit: str) -> dict[str, tuple[Tensor, str]]:
+def _axes(sigma: Float[Tensor, "n 3"], unit: str) -> Extra:
     return {
         f"sigma_{name}": (values, f"standard deviation ({unit})") for name, values in zip("xyz", sigma.T, strict=True)
     }
 
 
 def _classes(z: Float[Tensor, " n"]) -> Int[Tensor, " n"]:
-    bed, land = (
-        torch.full_like(z, int(kind), dtype=torch.long) for kind in (PointClass.BATHYMETRIC, PointClass.GROUND)
-    )
-    return torch.where(z < 0.0, bed, land)
+    return torch.where(z < 0.0, int(PointClass.BATHYMETRIC), int(PointClass.GROUND))
 
 
 def _incidence(cloud: DenseCloud, scene: Scene) -> Float[Tensor, " n"]:

@@ -5,6 +5,7 @@ from typing import Literal
 
 from torchrefrac.checks import Range, require_ranges
 from torchrefrac.config.build import OptionError
+from torchrefrac.config.options import DenseOutputs
 from torchrefrac.correction import CorrectionRules
 
 ANY_HEIGHT = Range(at_least=-1e9, at_most=1e9)
@@ -60,12 +61,15 @@ class CorrectOptions(CorrectionRules):
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """The folder of a run, or of an adjustment, and the form in which its cameras are written into a folder. quiet:
-    only errors are said."""
+    """The folder of a run, or of an adjustment, and the form in which its cameras, or the products of its dense surface
+    ("survey"), are written into a folder. outputs: which products. capture: folder of the photographs, of which an
+    orthophoto is made, by default the one that the run names. quiet: only errors are said."""
 
     run: str
     out: str
-    format: Literal["colmap", "opk", "csv"] = "colmap"
+    format: Literal["colmap", "opk", "csv", "survey"] = "colmap"
+    outputs: DenseOutputs = field(default_factory=DenseOutputs)
+    capture: str | None = None
     quiet: bool = False
 
     def __post_init__(self) -> None:

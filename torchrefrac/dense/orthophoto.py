@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 from torch.nn.functional import grid_sample, interpolate
 
@@ -109,7 +109,7 @@ def _finer(raster: Raster, factor: int) -> Raster:
     grids = torch.stack((raster.height * known, known))[None]
     height, share = interpolate(grids, scale_factor=factor, mode="bilinear", align_corners=False)[0]
 
-    def repeated(grid: Tensor) -> Tensor:
+    def repeated(grid: Shaped[Tensor, "rows columns *more"]) -> Shaped[Tensor, "finer_rows finer_columns *more"]:
         return grid.repeat_interleave(factor, dim=0).repeat_interleave(factor, dim=1)
 
     valid = repeated(raster.valid)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Shaped, UInt8
 from torch import Tensor
 
 from torchrefrac.atomic import passing, replacing
@@ -75,7 +75,7 @@ class BandFile:
         alpha = 255 * valid.to(torch.uint8)[..., None]
         self._write(torch.cat((colors, alpha), dim=-1).permute(2, 0, 1).cpu().numpy(), row, column)
 
-    def _write(self, values: np.ndarray, row: int, column: int) -> None:
+    def _write(self, values: Shaped[np.ndarray, "bands rows columns"], row: int, column: int) -> None:
         from rasterio.windows import Window  # type: ignore[import-not-found]  # noqa: PLC0415 - of an extra
 
         self.file.write(values, window=Window(column, row, values.shape[2], values.shape[1]))  # type: ignore[call-arg]

@@ -1,6 +1,6 @@
 """LAS 1.4 point clouds, compressed as LAZ where the name ends so. Needs laspy with lazrs, of the extra `geo`."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import IntEnum
 from importlib.util import find_spec
@@ -21,6 +21,7 @@ POINT_FORMAT, VERSION = 7, "1.4"  # with colours
 FINEST = 1e-4  # of coordinates, length units
 MOST_STEPS = 2**31 - 1
 TO_16_BIT = 257
+Extra = dict[str, tuple[Shaped[Tensor, " n"], str]]
 Extent = tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]
 
 
@@ -43,7 +44,7 @@ class LasPoints:
     coordinates: Float[Tensor, "n 3"]
     colors: UInt8[Tensor, "n 3"]
     classes: Int[Tensor, " n"]
-    extra: Mapping[str, tuple[Shaped[Tensor, " n"], str]] = field(default_factory=dict)
+    extra: Extra = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.coordinates)

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from torchrefrac.record.summary import survey_lines
+
 
 def correction_lines(metrics: Mapping[str, Any]) -> list[str]:
     """Of a cloud that was corrected, from its metrics."""
@@ -48,5 +50,7 @@ def _left(metrics: Mapping[str, Any], unit: str) -> list[str]:
 
 def export_lines(metrics: Mapping[str, Any]) -> list[str]:
     """Of cameras that were exported, from the metrics."""
+    if metrics["format"] == "survey":
+        return [*survey_lines(metrics), f"files: {', '.join(metrics['files'])}"]
     where = f" in {metrics['crs']}" if "crs" in metrics else ""
     return [f"{metrics['images']} cameras{where}: {', '.join(metrics['files'])}"]
