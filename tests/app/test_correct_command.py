@@ -178,6 +178,7 @@ def test_points_that_no_camera_sees_are_counted_and_marked(torchrefrac, survey, 
         ({"cloud": "none.csv"}, "none.csv is not a file, but cloud must be one"),
         ({"cameras": "none.txt"}, "none.txt does not exist"),
         ({"size": "null"}, "focal_px and size must be given together"),
+        ({"crs": "Atlantis"}, "crs is 'Atlantis', which is no coordinate reference system"),
         ({"method": "best"}, "method is 'best', but must be one of rays, mean"),
     ],
 )
@@ -210,6 +211,10 @@ def test_reference_systems_are_not_mixed(torchrefrac, survey, tmp_path):
 
     assert ended.status == 1
     assert "the cloud is in WGS 84 / UTM zone 33N, but water.surface in WGS 84 / UTM zone 32N" in ended.err
+    ended = torchrefrac(*given, f"water.level={LEVEL}", "crs=EPSG:32632")
+    assert "crs is in WGS 84 / UTM zone 32N, but the cloud in WGS 84 / UTM zone 33N" in ended.err
+    ended = torchrefrac(*given, f"water.level={LEVEL}", "crs=Atlantis")
+    assert "crs is 'Atlantis', which is no coordinate reference system" in ended.err
     assert torchrefrac(*given, f"water.level={LEVEL}").status == 0
     found = laspy.read(tmp_path / "new" / "corrected.laz")
     assert np.array_equal(found.z[::10], cloud.z[::10])
