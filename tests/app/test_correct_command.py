@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,9 +19,9 @@ from torchrefrac.files.library import embedded_scene
 from torchrefrac.files.ply import read_vertices
 from torchrefrac.files.tracks import read_run
 from torchrefrac.files.viewpoints import read_viewpoints, write_angles
-from torchrefrac.files.water import read_water
+from torchrefrac.files.water import read_water, write_water
 from torchrefrac.geometry import align_similarity
-from torchrefrac.scene import DenseCloud
+from torchrefrac.scene import DenseCloud, Interfaces
 from torchrefrac.sfm.frame import transformed
 
 LEVEL = 400.5
@@ -179,6 +180,7 @@ def test_points_that_no_camera_sees_are_counted_and_marked(torchrefrac, survey, 
         ({"cloud": "none.csv"}, "none.csv is not a file, but cloud must be one"),
         ({"cameras": "none.txt"}, "none.txt does not exist"),
         ({"size": "null"}, "focal_px and size must be given together"),
+        ({"crs": "Atlantis"}, "crs is 'Atlantis', which is no coordinate reference system"),
         ({"method": "best"}, "method is 'best', but must be one of rays, mean"),
     ],
 )
@@ -211,6 +213,10 @@ def test_reference_systems_are_not_mixed(torchrefrac, survey, tmp_path):
 
     assert ended.status == 1
     assert "the cloud is in WGS 84 / UTM zone 33N, but water.surface in WGS 84 / UTM zone 32N" in ended.err
+    ended = torchrefrac(*given, f"water.level={LEVEL}", "crs=EPSG:32632")
+    assert "crs is in WGS 84 / UTM zone 32N, but the cloud in WGS 84 / UTM zone 33N" in ended.err
+    ended = torchrefrac(*given, f"water.level={LEVEL}", "crs=Atlantis")
+    assert "crs is 'Atlantis', which is no coordinate reference system" in ended.err
     assert torchrefrac(*given, f"water.level={LEVEL}").status == 0
     found = laspy.read(tmp_path / "new" / "corrected.laz")
     assert np.array_equal(found.z[::10], cloud.z[::10])
@@ -270,6 +276,21 @@ def test_tables_are_on_the_map_where_the_run_says_where_it_stands(torchrefrac, s
     assert water.offset.tolist() == [400.25]
     local = read_colmap(exported(torchrefrac, tmp_path, "run", "colmap"))
     torch.testing.assert_close(local.views.center, center, rtol=0.0, atol=1e-9)
+
+
+def test_an_adjustment_with_its_water_anywhere_is_exported_too(torchrefrac, sparse, tmp_path):
+    scene = read_scene(sparse / "run")
+    raised = replace(scene, interfaces=Interfaces.level(1.34, 2.5))
+    write_colmap(raised, tmp_path / "adjusted" / "colmap")
+    write_water(raised, tmp_path / "adjusted" / "water.json")
+    record = {"status": "complete", "stages": ["adjusting"], "command": "adjust", "length_unit": "mm"}
+    (tmp_path / "adjusted" / "metrics.json").write_text(json.dumps(record))
+
+    folder = exported(torchrefrac, tmp_path, "adjusted", "csv")
+
+    torch.testing.assert_close(read_viewpoints(folder / "cameras.csv").center, scene.views.center, rtol=0.0, atol=1e-7)
+    water = json.loads((folder / "water.json").read_text())
+    assert (water["index_ratio"], water["length_unit"], water["planes"][0]["offset"]) == (1.34, "mm", 2.5)
 
 
 def test_what_is_no_run_is_refused(torchrefrac, tmp_path):

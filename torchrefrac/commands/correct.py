@@ -54,9 +54,10 @@ def correct_cloud(options: CorrectOptions, recorder: Recorder) -> dict[str, Any]
     target = folder / f"{STEM}{path.suffix.lower()}"
     if real_path(target) == real_path(path):
         raise OutRefusedError(f"out is {folder}, where the cloud lies, but it must stay; name another folder")
-    viewpoints = read_viewpoints(Path(options.cameras), _lens(options), options.crs or cloud.crs)
+    crs = options.crs or cloud.crs
+    viewpoints = read_viewpoints(Path(options.cameras), _lens(options), crs)
     water, water_crs = _water(options)
-    systems = {"the cloud": options.crs or cloud.crs, "cameras": viewpoints.crs, "water.surface": water_crs}
+    systems = {"crs": options.crs, "the cloud": cloud.crs, "cameras": viewpoints.crs, "water.surface": water_crs}
     _require_one_map({name: system for name, system in systems.items() if system is not None})
     _require_above(viewpoints, water)
     folder.mkdir(parents=True, exist_ok=True)
@@ -69,7 +70,7 @@ def correct_cloud(options: CorrectOptions, recorder: Recorder) -> dict[str, Any]
             work.require_something(path)
         about = {"status": "complete", "stages": [], "command": "correct", "cloud": str(real_path(path)),
                  "cameras": str(real_path(options.cameras)), "method": options.method}  # fmt: skip
-        unit = length_unit(options.crs or cloud.crs)
+        unit = length_unit(crs)
         metrics = about | {"index_ratio": options.index_ratio, "length_unit": unit, "images": len(viewpoints)}
         metrics |= total_metrics(work.totals, unit) | work.missing
         RunRecord.of(folder, metrics).write()  # the cloud is complete, whatever becomes of what is said of it
@@ -203,18 +204,16 @@ def _water(options: CorrectOptions) -> tuple[WaterHeights, str | None]:
 def _require_one_map(systems: dict[str, str]) -> None:
     """Raise OptionError where files are in several reference systems; what does not say one counts as in that of the
     others."""
-    if len(systems) < 2:
-        return
-    (first, own), *others = systems.items()
-    for name, system in others:
-        try:
-            agrees = same_map(own, system)
-        except ValueError as error:
-            raise OptionError(str(error)) from None
-        if not agrees:
-            raise OptionError(
-                f"{first} is in {map_name(own)}, but {name} in {map_name(system)}; bring both into one system"
-            )
+    try:
+        names = {name: map_name(system) for name, system in systems.items()}
+        differing = [name for name, system in systems.items() if not same_map(next(iter(systems.values())), system)]
+    except ValueError as error:
+        raise OptionError(str(error)) from None
+    except ImportError:
+        raise OptionError("reference systems are given, which need pyproj: pip install torchrefrac[geo]") from None
+    for name in differing:
+        first, own = next(iter(names.items()))
+        raise OptionError(f"{first} is in {own}, but {name} in {names[name]}; bring both into one system")
 
 
 def _require_above(viewpoints: Viewpoints, water: WaterHeights) -> None:
