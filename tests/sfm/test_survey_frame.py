@@ -36,7 +36,7 @@ def placed(scene, capture):
 
 
 def contradicted(scene):
-    return position_contradictions(scene, scene.assessment.surveyed)
+    return position_contradictions(scene, scene.assessment.surveyed, scene.assessment.lowered_by)
 
 
 @pytest.fixture
@@ -126,7 +126,8 @@ def test_a_position_that_most_contradict_is_named_and_left_out(survey_of, draw):
 
 
 def test_a_lowered_survey_remembers_the_level():
-    survey = replace(Survey.empty("ab"), center=torch.zeros(2, 3).double())
+    images = {name: SurveyedImage(center=([0.0, 0.0, 0.0], torch.eye(3).tolist())) for name in "ab"}
+    survey = resolve(images, {}, [], "ab")
 
     twice = SurveyFrame(survey, survey, 0).lowered(3.0).lowered(-1.0)
 

@@ -62,13 +62,24 @@ def with_meeting_points(scene: Scene, wanted: Bool[Tensor, " n"]) -> Scene:
 
 
 def surveyed(scene: Scene, stated: Survey, used: Survey) -> Surveyed:
-    """What became of a survey, of which `used` took part, in the scene, whose last points are its control points."""
+    """What became of a survey, of which `used` took part, in the scene, whose last points are its control points; its
+    assessment, if it has one, is of all its points."""
     ties, control = len(scene.points) - len(stated.control_names), of_control(scene, stated)
     met = with_meeting_points(scene, torch.arange(len(scene.points)) >= ties)
     ids = ties + stated.known_control
     off = torch.where(met.placed[ids, None], met.points[ids] - stated.known_position, 0.0)
-    where = scene.points[ties:], scene.placed[ties:]
-    return Surveyed(stated, used, *where, off, control.distance, control.deviations)
+    where = scene.points[ties:], scene.placed[ties:], met.placed[ties:], _deviations(scene)[ties:]
+    check = ties + stated.check_control
+    check_off = torch.where(met.placed[check, None], met.points[check] - stated.check_position, 0.0)
+    return Surveyed(stated, used, *where, off, control.distance, control.deviations, check_off)
+
+
+def _deviations(scene: Scene) -> Float[Tensor, "n 3"]:
+    """Of all points along the axes; infinite where nothing is known."""
+    covariance = scene.assessment.point_covariance
+    if covariance is None:
+        return torch.full_like(scene.points, torch.inf)
+    return covariance.diagonal(dim1=-2, dim2=-1).clamp(min=0.0).sqrt()
 
 
 def without_contradicted(scene: Scene, survey: Survey) -> Survey:

@@ -48,8 +48,13 @@ class SurveyFrame:
         length[self.ties :] = 2
         return length.index_fill(0, self.ties + self.used.known_control, 1)
 
+    def with_levels(self, sources: Bool[Tensor, " s"]) -> "SurveyFrame":
+        """The same with the levels that some of the sources state."""
+        return replace(self, used=self.used.with_levels(self.stated.of_levels(sources)))
+
     def parted(self, scene: Scene) -> tuple[Scene, Surveyed]:
-        """The scene without its ground control points, and what became of the survey."""
+        """The scene without its ground control points, and what became of the survey; its assessment is of all its
+        points."""
         tied, ties = scene.observations.point < self.ties, torch.arange(self.ties)
         tied_scene = replace(
             scene,
@@ -73,7 +78,7 @@ def placed_by_survey(scene: Scene, capture: Capture, survey: Survey) -> tuple[Sc
     place follow from a horizontal similarity, whichever few positions are wrong, and the height from the mean.
     """
     ties, refractive = len(scene.points), scene.index_ratio > 1.0
-    survey = survey if refractive else survey.without_waterline()
+    survey = survey if refractive else survey.without_water()
     every = with_control(scene, survey)
     every = with_meeting_points(every, torch.arange(len(every.points)) >= ties) if len(survey.control_names) else every
     level = torch.eye(3, dtype=torch.float64) if refractive else mean_level(scene, capture)
@@ -91,7 +96,7 @@ def placed_by_survey(scene: Scene, capture: Capture, survey: Survey) -> tuple[Sc
     lowered = survey.lowered(height)
     shift = change.translation - change.translation.new_tensor((0.0, 0.0, height))
     every = transformed(every, replace(change, translation=shift))
-    frame = SurveyFrame(lowered, without_contradicted(every, lowered), ties, height, why)
+    frame = SurveyFrame(lowered, without_contradicted(every, lowered).without_levels(), ties, height, why)
     return _with_known(every, frame), frame
 
 
@@ -102,7 +107,7 @@ def _scaled(
     if len(survey.known_control) and not mistake:
         mistake = f"positions of the survey do not say where the scene is: give {FEWEST} or more that are apart"
     survey = survey.without(*_all_positions(survey, cameras=True))
-    if not (mistake or len(survey.bar_length) or len(survey.waterline_control)):
+    if not (mistake or len(survey.bar_length) or len(survey.waterline_control) or survey.level_sources):
         return None
     scene = fix_frame(scene, capture)
     apart = (scene.points[ties + survey.bar_to] - scene.points[ties + survey.bar_from]).norm(dim=-1)
@@ -110,7 +115,7 @@ def _scaled(
     if bool(known.any()):
         scale = (survey.bar_length / apart)[known].median()
         scene = transformed(scene, Similarity(scale, torch.eye(3).to(scale), scale.new_zeros(3)))
-    return scene, SurveyFrame(survey, survey, ties, None, mistake)
+    return scene, SurveyFrame(survey, survey.without_levels(), ties, None, mistake)
 
 
 def _all_positions(survey: Survey, cameras: bool) -> tuple[Bool[Tensor, " c"], Bool[Tensor, " p"]]:
