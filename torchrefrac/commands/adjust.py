@@ -92,7 +92,7 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
         scene = read_scene(options.alignment)
         truth = _truth(options, given)
         names = scene.views.names
-        survey = read_survey(options.survey, names) if options.survey else Survey.empty(names)
+        survey = read_survey(options.survey, names, scene.georeference) if options.survey else Survey.empty(names)
         read = _with_water(scene, options, given)
         placed = placed_in_survey(read, survey, recorder, not _states_water(options, given))
         how = _with_varying_plane(options)

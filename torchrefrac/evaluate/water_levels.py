@@ -3,7 +3,7 @@
 from typing import Any
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.scene import Finding, Scene, Surveyed, WarningCode
@@ -100,7 +100,7 @@ def _sources(scene: Scene) -> list[dict[str, Any]]:
     return found
 
 
-def _source(name: str, height: float, sigma: Tensor, share: Tensor) -> dict[str, Any]:
+def _source(name: str, height: float, sigma: Float[Tensor, ""], share: Float[Tensor, ""]) -> dict[str, Any]:
     percent = round(100.0 * float(share), 2)
     return {"source": name, "height": height, "sigma": float(sigma), "weight_percent": percent}
 

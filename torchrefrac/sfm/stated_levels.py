@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.scene import Scene, Survey
+from torchrefrac.scene import Capture, Scene, Survey, SurveyError
 from torchrefrac.sfm.control import surface_of_levels
 
 CONTRADICTED = 3.0
@@ -44,3 +44,24 @@ class StatedLevels:
         rest = (every - own).clamp(min=0.0)
         height = (every * level[self.surface] - own * self.height) / rest.clamp(min=torch.finfo(rest.dtype).tiny)
         return StatedLevels(torch.where(rest > 0.0, height, self.height), rest.rsqrt(), self.surface)
+
+
+def check_levels(survey: Survey, capture: Capture) -> None:
+    """Raise SurveyError for levels of epochs that the capture has not, and of water above the cameras."""
+    epochs = capture.epochs if len(capture.epochs) > 1 else ("",)
+    for source, epoch in zip(survey.level_sources, survey.level_epochs, strict=True):
+        if epoch not in epochs and (epoch or len(epochs) > 1):
+            wanted = f"must be one of those of the photographs: {', '.join(capture.epochs) or 'they have none'}"
+            raise SurveyError(f"{source} of the survey is of the epoch {epoch!r}, but it {wanted}")
+    known = capture.position_sigma.isfinite().all(dim=-1)
+    if not len(survey.level) or not bool(known.any()):
+        return
+    cameras = capture.position[known, 2] + CONTRADICTED * capture.position_sigma[known, 2]
+    highest, above = float(cameras.max()), survey.level_position[:, 2] - CONTRADICTED * survey.level_sigma
+    if bool((above > highest).any()):
+        worst = int(above.argmax())
+        raise SurveyError(
+            f"{survey.level_sources[int(survey.level[worst])]} of the survey puts the water at "
+            f"{float(survey.level_position[worst, 2]):.6g}, above all cameras (the highest at "
+            f"{float(capture.position[known, 2].max()):.6g}); check what the two heights are counted from"
+        )
