@@ -268,3 +268,15 @@ def test_a_capture_takes_in_what_a_survey_measured_of_its_images(survey_of):
     assert beside.center_image.tolist() == [2]
     assert torch.equal(beside.center_information, stated.center_information)
     assert with_measured(survey.capture, Survey.empty(survey.capture.names)) is survey.capture
+
+
+def test_ground_control_in_another_datum_is_named_and_left_out(survey_of, draw):
+    survey = positioned(survey_of(cameras=6, points=150, noise=0.1, gravity_error_deg=0.3), draw)
+    lift = torch.tensor((0.0, 0.0, LEVEL - 46.5))
+
+    scene = reconstruct_with(survey, control_of(survey, draw, lambda point: point + lift))
+
+    (found,) = contradicted(scene)
+    assert found.code == "control_contradicts"
+    assert re.search(r"count from levels that are 46.\d+ apart, as of two datums: give both in one", found.message)
+    assert scene.assessment.lowered_by == pytest.approx(LEVEL, abs=0.1)
