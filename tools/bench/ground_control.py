@@ -31,10 +31,11 @@ from torchrefrac.scene import Cameras, Capture, Georeference, Interfaces, Scene,
 from torchrefrac.scene.survey import ControlPoint, resolve
 from torchrefrac.sfm import RefractiveInitializer, SfmOptions, reconstruct_sparse, verify_pairs
 from torchrefrac.synthetic.drone import CRS, ORIGIN
+from torchrefrac.synthetic.options import CameraOptions
 from torchrefrac.synthetic.photograph import Photographer
 from torchrefrac.synthetic.scenes import RiverbedOptions, stage_of
 
-OPTIONS = RiverbedOptions(name="riverbed")
+OPTIONS = RiverbedOptions(name="riverbed", camera=CameraOptions(fov_deg=65.0))
 NOISE, STATED = 0.3, 0.005  # px of clicks and keypoints; m of stated points
 RISE, POSITION, WATERLINE = 0.3, (0.02, 0.02, 0.03), 0.01  # m
 LINES = (-13.0, -10.0, -7.0, -4.0, -1.0, 2.0, 5.0, 8.0, 11.0, 14.0)  # across the river, m east of the middle
@@ -49,11 +50,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Ground control on the made riverbed.")
     parser.add_argument("what", choices=("clicks", "epochs"))
     parser.add_argument("flight", nargs="?", type=Path)
+    parser.add_argument("--seed", type=int, default=7)
     arguments = parser.parse_args()
+    chance = torch.Generator().manual_seed(arguments.seed)
     if arguments.what == "clicks":
-        write_clicks(arguments.flight)
+        write_clicks(arguments.flight, chance)
     else:
-        epochs()
+        epochs(chance)
 
 
 def ground(photographer: Photographer, xy: Float[Tensor, "n 2"]) -> Float[Tensor, "n 3"]:
@@ -88,10 +91,9 @@ def clicks(
     return pixels, inside & (off(pixels).norm(dim=-1) < CLOSE)
 
 
-def write_clicks(flight: Path) -> None:
+def write_clicks(flight: Path, chance: torch.Generator) -> None:
     """Both tables, in the reference system in which the drone says that it was."""
     photographer = Photographer.of(stage_of(OPTIONS), OPTIONS)
-    chance = torch.Generator().manual_seed(7)
     points = ground(photographer, torch.tensor([*PLACES.values()], dtype=torch.float64))
     stated = _place().coordinates(points + STATED * _normal(chance, *points.shape))
     with (flight / "control.csv").open("w", newline="", encoding="utf-8") as file:
@@ -116,9 +118,8 @@ def _place() -> Georeference:
     return Georeference(CRS, ORIGIN, scale=Grid(CRS).scale_at(ORIGIN, ORIGIN[2]))
 
 
-def epochs() -> None:
+def epochs(chance: torch.Generator) -> None:
     """Both flights in one adjustment, and what is found of the water and of the bed."""
-    chance = torch.Generator().manual_seed(7)
 
     first = Photographer.of(stage_of(OPTIONS), OPTIONS)
     flights = first, _under_higher_water(first)

@@ -7,8 +7,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.geometry import align_similarity
+from torchrefrac.refinement import refine_points
 from torchrefrac.scene import Scene, Survey, Surveyed
 from torchrefrac.sfm.gravity import unlikely
+from torchrefrac.sfm.rays import Tracks
 from torchrefrac.sfm.rules import Rules
 from torchrefrac.sfm.stated_places import StatedPlaces
 from torchrefrac.sfm.triangulate import triangulate
@@ -17,6 +19,8 @@ FEWEST = 4
 """Stated positions that must agree where some are left out: fewer do not tell which is wrong."""
 CANDIDATES = 4
 """Of the worst positions, those of which each is tried to be left out: it is not always the worst that is wrong."""
+CLICK = 1.0
+"""Pixels by which somebody who points at a control point errs in a coordinate."""
 SCATTERED = 5.0
 """Times the median distance at which a position is far off, where images are less certain than what was stated."""
 
@@ -87,9 +91,11 @@ def without_contradicted(scene: Scene, survey: Survey) -> Survey:
 
     scene: as images have it, with all ground control points; its frame does not count. Positions of cameras and control
     are aligned with those stated by a similarity. The one without which the others agree best is left out where it is
-    too far off their alignment, and so on with these as long as most stay.
+    too far off their alignment, and so on with these as long as most stay. What clicks leave open of where a control
+    point is counts as well.
     """
     places = StatedPlaces.of(scene, survey)
+    places = places.blurred(torch.cat((torch.zeros_like(survey.center_information), _left_by_clicks(scene, survey))))
     found, stated, known = places.found, places.stated, places.known
     accepted, least = known.clone(), max(FEWEST, (int(known.sum()) + 2) // 2)
 
@@ -110,6 +116,20 @@ def without_contradicted(scene: Scene, survey: Survey) -> Survey:
         accepted = fewer
     out = known & ~accepted
     return survey.without(out[: places.cameras], out[places.cameras :]) if bool(out.any()) else survey
+
+
+def _left_by_clicks(scene: Scene, survey: Survey) -> Float[Tensor, "p 3 3"]:
+    """Covariances of where control points with known positions are by their pixels alone; zero where these do not say
+    it."""
+    ids = len(scene.points) - len(survey.control_names) + survey.known_control
+    wanted = torch.zeros_like(scene.placed).index_fill(0, ids, True)
+    rows = scene.views.registered[scene.observations.view] & wanted[scene.observations.point]
+    covariance = scene.points.new_zeros(len(scene.points), 3, 3)
+    if bool(rows.any()):
+        tracks = Tracks.of(scene, rows.nonzero()[:, 0])
+        seen = tracks.cameras, tracks.pixels, tracks.slot
+        covariance[tracks.ids] = refine_points(*seen, scene.points[tracks.ids], CLICK).covariance
+    return covariance[ids]
 
 
 def _disagreement(error: Float[Tensor, "k 3"], information: Float[Tensor, "k 3 3"]) -> Disagreement:

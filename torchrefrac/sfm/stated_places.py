@@ -1,7 +1,7 @@
 """Where a survey states that cameras and ground control points are, beside where a scene has them; and the similarity
 between the two."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -79,6 +79,10 @@ class StatedPlaces:
     def covariance(self) -> Float[Tensor, "k 3 3"]:
         """Of what is stated."""
         return torch.linalg.inv(self.information)
+
+    def blurred(self, covariance: Float[Tensor, "k 3 3"]) -> "StatedPlaces":
+        """With what is not known of the places found, besides, as if it was not known of those stated."""
+        return replace(self, information=torch.linalg.inv(self.covariance + covariance))
 
     def deviations(self, change: Similarity | None = None) -> Float[Tensor, " k"]:
         """How far what was found, in the frame to which a similarity takes it, is from what was stated, in standard
