@@ -20,14 +20,20 @@ from torchrefrac.bundle import (
 from torchrefrac.scene import Observations, Part, Scene, Survey, SurveyError
 
 MAX_DISAGREEMENT_DEG = 45.0
+CLICK = 0.5
+"""Pixels by which somebody who points at a control point errs in a coordinate."""
 
 
-def with_control(scene: Scene, survey: Survey) -> Scene:
-    """The ground control points of the survey are the last points, white, at the origin where no position is known."""
+def with_control(scene: Scene, survey: Survey, pixel_sigma: float = CLICK) -> Scene:
+    """The ground control points of the survey are the last points, white, at the origin where no position is known.
+    pixel_sigma: of keypoints, than which their pixels are noisier by as much as somebody who points errs more."""
     seen, count, k = scene.observations, len(scene.points), len(survey.control_names)
     positions = scene.points.new_zeros(k, 3)
     positions[survey.known_control] = survey.known_position
-    noise = None if seen.noise is None else torch.cat((seen.noise, torch.ones_like(survey.control_pixels[:, 0])))
+    noise, of_clicks = seen.noise, max(CLICK / pixel_sigma, 1.0)
+    if noise is not None or of_clicks > 1.0:
+        ones, every = torch.ones_like(seen.pixels[:, 0]), torch.full_like(survey.control_pixels[:, 0], of_clicks)
+        noise = torch.cat((ones if noise is None else noise, every))
     return replace(
         scene,
         points=torch.cat((scene.points, positions)),

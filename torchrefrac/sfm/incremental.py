@@ -210,7 +210,7 @@ class _Growth:
 
     def _with_survey(self, scene: Scene, length: int) -> Scene:
         """Adjusted with what was surveyed, the height of the water among it being what images say."""
-        found = placed_by_survey(scene, self.capture, self.survey)
+        found = placed_by_survey(scene, self.capture, self.survey, self.final.bundle.pixel_sigma)
         if found is None:
             return scene
         scene, self.frame = found

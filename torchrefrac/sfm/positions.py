@@ -9,6 +9,7 @@ from torch import Tensor
 from torchrefrac.geometry import align_similarity
 from torchrefrac.refinement import refine_points
 from torchrefrac.scene import Scene, Survey, Surveyed
+from torchrefrac.sfm.control import CLICK
 from torchrefrac.sfm.gravity import unlikely
 from torchrefrac.sfm.rays import Tracks
 from torchrefrac.sfm.rules import Rules
@@ -19,8 +20,6 @@ FEWEST = 4
 """Stated positions that must agree where some are left out: fewer do not tell which is wrong."""
 CANDIDATES = 4
 """Of the worst positions, those of which each is tried to be left out: it is not always the worst that is wrong."""
-CLICK = 1.0
-"""Pixels by which somebody who points at a control point errs in a coordinate."""
 SCATTERED = 5.0
 """Times the median distance at which a position is far off, where images are less certain than what was stated."""
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrefrac.bundle import Term
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Capture, Part, Scene, Survey, Surveyed
-from torchrefrac.sfm.control import survey_terms, with_control
+from torchrefrac.sfm.control import CLICK, survey_terms, with_control
 from torchrefrac.sfm.frame import fix_frame, mean_level, transformed
 from torchrefrac.sfm.positions import surveyed, with_meeting_points, without_contradicted
 from torchrefrac.sfm.stated_places import StatedPlaces
@@ -68,7 +68,9 @@ class SurveyFrame:
         return tied_scene, replace(surveyed(scene, self.stated, self.used), mistake=self.mistake)
 
 
-def placed_by_survey(scene: Scene, capture: Capture, survey: Survey) -> tuple[Scene, SurveyFrame] | None:
+def placed_by_survey(
+    scene: Scene, capture: Capture, survey: Survey, pixel_sigma: float = CLICK
+) -> tuple[Scene, SurveyFrame] | None:
     """The scene in the frame of the positions of a survey, with its ground control points as the last points; in it the
     water stays the plane z = 0. Where only scale bars are known, or points on the waterline, it stays where it is, but
     has their unit.
@@ -76,10 +78,11 @@ def placed_by_survey(scene: Scene, capture: Capture, survey: Survey) -> tuple[Sc
     None where nothing is known of that, or too few positions that lie too close together for their errors. Through
     water the vertical of the scene counts, and without refraction that of the gravity measured: heading, scale and
     place follow from a horizontal similarity, whichever few positions are wrong, and the height from the mean.
+    pixel_sigma: of keypoints, as the images show it.
     """
     ties, refractive = len(scene.points), scene.index_ratio > 1.0
     survey = survey if refractive else survey.without_water()
-    every = with_control(scene, survey)
+    every = with_control(scene, survey, pixel_sigma)
     every = with_meeting_points(every, torch.arange(len(every.points)) >= ties) if len(survey.control_names) else every
     level = torch.eye(3, dtype=torch.float64) if refractive else mean_level(scene, capture)
     places = StatedPlaces.of(every, survey)
