@@ -39,7 +39,7 @@ OPTIONS = RiverbedOptions(name="riverbed", camera=CameraOptions(fov_deg=65.0))
 NOISE, STATED = 0.3, 0.005  # px of clicks and keypoints; m of stated points
 RISE, POSITION, WATERLINE = 0.3, (0.02, 0.02, 0.03), 0.01  # m
 LINES = (-13.0, -10.0, -7.0, -4.0, -1.0, 2.0, 5.0, 8.0, 11.0, 14.0)  # across the river, m east of the middle
-STEPS, CLOSE, STEP = 12, 1e-5, 0.05  # of Newton's method; m; px
+STEPS, CLOSE, STEP = 12, 1e-3, 0.05  # of Newton's method; m; px
 PLACES = {
     "P1": (-11.0, -9.0), "P2": (11.0, -8.0), "P3": (10.0, 9.0), "P4": (-10.0, 10.0),
     "check1": (-5.0, 0.0), "check2": (4.0, -5.0), "check3": (6.0, 5.0), "check4": (-3.0, 7.0),
@@ -151,7 +151,10 @@ def epochs(chance: torch.Generator) -> None:
     for name, rows in (("both", of_point.all(dim=1)), ("may", of_point[:, 1] == 0.0), ("june", of_point[:, 0] == 0.0)):
         if bool(rows.any()):
             print(f"bed seen in {name}: {int(rows.sum())} points, {float(off[rows].median()):+.4f} m (median) too high")
-    print(f"{len(scene.points)} points, warnings: {summarize(scene)['warnings']}")
+    shown = (
+        "" if scene.assessment.surveyed is None else f"{int(scene.assessment.surveyed.placed.sum())} on the waterline, "
+    )
+    print(f"{len(scene.points)} points, {shown}warnings: {summarize(scene)['warnings']}")
 
 
 def _up(by: float) -> Float[Tensor, " 3"]:
@@ -178,8 +181,8 @@ def _shore(photographer: Photographer, level: float) -> Float[Tensor, "n 3"]:
     for x in LINES:
         line = ground(photographer, torch.stack((torch.full_like(y, x), y), dim=-1))
         crossing = ((line[:-1, 2] - level) * (line[1:, 2] - level) < 0.0).nonzero()[:, 0]
-        at = line[crossing[-1]]
-        found.append(torch.cat((at[:2], at.new_tensor([level]))))
+        before, after = line[crossing[-1]], line[crossing[-1] + 1]
+        found.append(before + (level - before[2]) / (after[2] - before[2]) * (after - before))
     return torch.stack(found)
 
 
