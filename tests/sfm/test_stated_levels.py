@@ -25,7 +25,10 @@ def river(survey_of, draw):
 
 def test_a_level_takes_part_by_its_variance_and_the_rest_is_what_images_say_without_it(river):
     alone = reconstruct_with(river, levels(river))
-    stated, sigma = alone.assessment.lowered_by + 0.03, alone.assessment.water_level_sigma
+    level, sigma = alone.assessment.lowered_by, alone.assessment.water_level_sigma
+    assert level is not None
+    assert sigma is not None
+    stated = level + 0.03
 
     scene = reconstruct_with(river, levels(river, WaterMark("gauge", (None, None, stated), sigma)))
 
@@ -35,7 +38,7 @@ def test_a_level_takes_part_by_its_variance_and_the_rest_is_what_images_say_with
     gauge, images = found["water_level_from"]
     assert (gauge["source"], gauge["height"], gauge["sigma"]) == ("gauge", pytest.approx(stated), pytest.approx(sigma))
     assert gauge["weight_percent"] == pytest.approx(50.0, abs=8.0)
-    assert images["height"] == pytest.approx(alone.assessment.lowered_by, abs=0.015)
+    assert images["height"] == pytest.approx(level, abs=0.015)
     assert images["sigma"] == pytest.approx(sigma, rel=0.2)
     assert gauge["weight_percent"] + images["weight_percent"] == pytest.approx(100.0)
     assert contradicted(scene) == ()

@@ -5,8 +5,8 @@
 
 clicks: the flight is one of `torchrefrac scene=riverbed scene.metadata=drone`, imported (docs/survey.md has the
 commands); four control points and four check points, some on the bank, stated to 0.5 cm and clicked to 0.3 px. epochs:
-tracks to 0.3 px of two flights, between which the water rose by 30 cm, RTK positions to 2 and 3 cm and ten points on
-the waterline of each; how well the levels and the bed are found.
+tracks to 0.3 px of two flights, between which the water rose by 30 cm, RTK positions to 2 and 3 cm, the four
+control points and ten points on the waterline of each; how well the levels and the bed are found.
 """
 
 import argparse
@@ -37,6 +37,7 @@ from torchrefrac.synthetic.scenes import RiverbedOptions, stage_of
 
 OPTIONS = RiverbedOptions(name="riverbed", camera=CameraOptions(fov_deg=65.0))
 NOISE, STATED = 0.3, 0.005  # px of clicks and keypoints; m of stated points
+CONTROL = 4
 RISE, POSITION, WATERLINE = 0.3, (0.02, 0.02, 0.03), 0.01  # m
 LINES = (-13.0, -10.0, -7.0, -4.0, -1.0, 2.0, 5.0, 8.0, 11.0, 14.0)  # across the river, m east of the middle
 STEPS, CLOSE, STEP = 12, 1e-3, 0.05  # of Newton's method; m; px
@@ -127,17 +128,23 @@ def epochs(chance: torch.Generator) -> None:
     epoch = torch.arange(count) % 2
     xy = 17.0 * (2.0 * torch.rand(1200, 2, generator=chance, dtype=torch.float64) - 1.0)
     shore = [_shore(first, level) for level in (0.0, RISE)]
-    points = torch.cat((ground(first, xy), *shore))
+    control = ground(first, torch.tensor([*PLACES.values()], dtype=torch.float64)[:CONTROL])
+    points = torch.cat((ground(first, xy), *shore, control))
     found = [clicks(flights[epoch[i]], i, points - _up(RISE * float(epoch[i]))) for i in range(count)]
     pixels = torch.stack([at for at, _ in found]) + NOISE * _normal(chance, count, len(points), 2)
     seen = torch.stack([there for _, there in found])
     capture = _capture(first, chance, epoch)
     ties = len(xy)
     controls = {}
-    for i in range(ties, len(points)):
+    for i in range(ties, len(points) - CONTROL):
         of = (i - ties) // len(shore[0])
         views = (seen[:, i] & (epoch == of)).nonzero()[:, 0].tolist()
         controls[f"W{i}"] = ControlPoint({capture.names[v]: pixels[v, i].tolist() for v in views}, waterline=WATERLINE)
+    stated = control + _up(ORIGIN[2]) + STATED * _normal(chance, CONTROL, 3)
+    for i, position in zip(range(len(points) - CONTROL, len(points)), stated.tolist(), strict=True):
+        views = seen[:, i].nonzero()[:, 0].tolist()
+        known = position, (torch.eye(3) / STATED**2).tolist()
+        controls[f"P{i}"] = ControlPoint({capture.names[v]: pixels[v, i].tolist() for v in views}, known)
     survey = resolve({}, controls, [], capture.names)
     scene = _reconstructed(capture, seen[:, :ties], pixels[:, :ties], survey)
     levels = summarize(scene)["water_levels_m"]
@@ -152,7 +159,7 @@ def epochs(chance: torch.Generator) -> None:
         if bool(rows.any()):
             print(f"bed seen in {name}: {int(rows.sum())} points, {float(off[rows].median()):+.4f} m (median) too high")
     shown = (
-        "" if scene.assessment.surveyed is None else f"{int(scene.assessment.surveyed.placed.sum())} on the waterline, "
+        "" if scene.assessment.surveyed is None else f"{int(scene.assessment.surveyed.placed.sum())} control points, "
     )
     print(f"{len(scene.points)} points, {shown}warnings: {summarize(scene)['warnings']}")
 

@@ -42,6 +42,8 @@ def level_contradictions(scene: Scene, known: Surveyed, lowered: float | None) -
     if not known.stated.level_sources or not scene.interfaces.refract():
         return ()
     sigma, unit = scene.assessment.level_sigma, scene.length_unit
+    if sigma is None and lowered is not None:
+        return ()
     if lowered is None or sigma is None:
         message = "a level of the water is stated, but no positions that say where it is counted from; it was not used"
         return (Finding(WarningCode.WATER_LEVEL_CONTRADICTS, message),)

@@ -104,6 +104,11 @@ def adjust(scene: Scene, rules: Rules, on_step: OnStep | None = None) -> tuple[S
     return scene.with_part(part, report.scene), Outcome(kind, report=report)
 
 
+def with_height(bundle: BundleOptions) -> BundleOptions:
+    """With the height of the water free, which positions and stated levels fix in their frame."""
+    return replace(bundle, refine=tuple(dict.fromkeys((*bundle.refine, "plane_height"))))
+
+
 def with_noise_found(bundle: BundleOptions, report: BundleReport) -> BundleOptions:
     """Options for another adjustment, which knows the noise of keypoints from one before it: at most what is expected.
 

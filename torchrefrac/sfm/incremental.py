@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from torchrefrac.bundle import BundleOptions, GravityPrior, Term
+from torchrefrac.bundle import GravityPrior, Term
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.features import Features
 from torchrefrac.optim import LevenbergMarquardtOptions
@@ -20,6 +20,7 @@ from torchrefrac.sfm.adjust import (
     assess_scene,
     common_tilt,
     with_errors_found,
+    with_height,
     with_noise_found,
 )
 from torchrefrac.sfm.complete_tracks import complete_tracks
@@ -215,7 +216,7 @@ class _Growth:
             return scene
         scene, self.frame = found
         if scene.interfaces.refract() and self.in_place:
-            self.rules = replace(self.rules, bundle=_with_height(self.rules.bundle))
+            self.rules = replace(self.rules, bundle=with_height(self.rules.bundle))
         return self._at_zero(self._converged(scene, self._needing(length)))
 
     def _needing(self, length: int) -> Rules:
@@ -232,14 +233,14 @@ class _Growth:
         if found is None:
             return scene
         if self.in_place:
-            self.rules = replace(self.rules, bundle=_with_height(self.rules.bundle))
+            self.rules = replace(self.rules, bundle=with_height(self.rules.bundle))
         return self._at_zero(self._converged(self._at_zero(found), self._needing(length)))
 
     def _with_epochs(self, scene: Scene, length: int) -> Scene:
         """With a water surface of its own, at a level of its own, for each epoch."""
         if len(self.capture.epochs) < 2 or not scene.interfaces.refract():
             return scene
-        self.rules = replace(self.rules, bundle=_with_height(self.rules.bundle))
+        self.rules = replace(self.rules, bundle=with_height(self.rules.bundle))
         each = with_surfaces(scene, self.capture.epoch)
         return self._at_zero(self._converged(each, self._needing(length)))
 
@@ -323,8 +324,3 @@ class _Growth:
         """The accepted points (of which at most this many), where anyone wants to see them."""
         ids = torch.unique_consecutive(scene.observations.point[scene.accepted])
         self.journal.show("sparse", scene, ids, most)
-
-
-def _with_height(bundle: BundleOptions) -> BundleOptions:
-    """With the height of the water free, which positions fix in their frame."""
-    return replace(bundle, refine=tuple(dict.fromkeys((*bundle.refine, "plane_height"))))
