@@ -4,7 +4,7 @@
     python tools/bench/ground_control.py epochs
 
 clicks: the flight is one of `torchrefrac scene=riverbed scene.metadata=drone`, imported (docs/survey.md has the
-commands); four control points and four check points, some on the bank, stated to 0.5 cm and clicked to 0.3 px. epochs:
+commands); four control points and four check points on the bed, stated to 0.5 cm and clicked to 0.3 px. epochs:
 tracks to 0.3 px of two flights, between which the water rose by 30 cm, RTK positions to 2 and 3 cm, the four
 control points and ten points on the waterline of each; how well the levels and the bed are found.
 """

@@ -31,7 +31,7 @@ def with_control(scene: Scene, survey: Survey, pixel_sigma: float = CLICK) -> Sc
     positions = scene.points.new_zeros(k, 3)
     positions[survey.known_control] = survey.known_position
     noise, of_clicks = seen.noise, max(CLICK / pixel_sigma, 1.0)
-    if noise is not None or of_clicks > 1.0:
+    if noise is not None or (k and of_clicks > 1.0):
         ones, every = torch.ones_like(seen.pixels[:, 0]), torch.full_like(survey.control_pixels[:, 0], of_clicks)
         noise = torch.cat((ones if noise is None else noise, every))
     return replace(
