@@ -199,6 +199,25 @@ def test_the_water_level_is_found(torchrefrac, planted, draw, metrics, tmp_path)
     assert not (tmp_path / "run" / "cameras.json").exists()
 
 
+def test_a_level_that_the_survey_states_takes_part(torchrefrac, planted, metrics, tmp_path):
+    up, true = planted.truth.points.new_tensor((0.0, 0.0, 250.0)), planted.truth
+    raised = true.views.at(true.views.rotation, true.views.center + up)
+    write_colmap(replace(true, views=raised, points=true.points + up), tmp_path / "given")
+    centers = zip(raised.names, raised.center.tolist(), strict=True)
+    content = {
+        "format": "torchrefrac-survey/1",
+        "images": {name: {"center": center, "center_sigma": 0.1} for name, center in centers},
+        "water_level": {"height": 250.0, "sigma": 0.01},
+    }
+    (tmp_path / "survey.json").write_text(json.dumps(content))
+
+    ended = torchrefrac("adjust", "alignment=given", "index_ratio=1.33", "survey=survey.json", "out=run")
+
+    assert ended.status == 0, ended.err
+    assert float(_water(tmp_path / "run").offset) == pytest.approx(250.0, abs=0.03)
+    assert metrics(tmp_path / "run")["warnings"] == []
+
+
 CAMERA_LINES = {
     3: "SIMPLE_PINHOLE 1024 768 667.0 512.0 384.0",
     7: "SIMPLE_RADIAL 1024 768 667.0 512.0 384.0 0.001",

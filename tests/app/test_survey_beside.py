@@ -72,3 +72,28 @@ def test_a_survey_of_other_images_is_refused_with_a_sentence(torchrefrac, small_
     assert ended.status == 1
     assert "names the images DJI_00.jpg" in " ".join(ended.err.split())
     assert "but the scene has none of them" in " ".join(ended.err.split())
+
+
+@pytest.mark.slow
+def test_photographs_of_two_epochs_have_two_levels(torchrefrac, small_tank, metrics, tmp_path):
+    content = json.loads((small_tank / "capture.json").read_text())
+    content["format"] = "torchrefrac-capture/2"
+    content["cameras"] = {"only": {"model": "opencv"} | content.pop("intrinsics")}
+    for i, image in enumerate(content["images"]):
+        image |= {"camera": "only", "epoch": ("may", "june")[i % 2]}
+        image.pop("center_prior", None)
+    (small_tank / "capture.json").write_text(json.dumps(content))
+    given = f"scene.path={small_tank}", "features.max_features=1500"
+
+    ended = torchrefrac("scene=capture", *given, "out=run")
+
+    assert ended.status == 0, ended.err
+    found = metrics(tmp_path / "run")
+    assert found["warnings"] == []
+    assert found["water_levels_cm"]["may"] == {"height": 0.0, "sigma": 0.0}
+    june = found["water_levels_cm"]["june"]
+    assert abs(june["height"]) < 3.0 * june["sigma"] < 0.3
+    assert tr.load_cameras(tmp_path / "run").interface.plane.offset.unique().tolist() == sorted([0.0, june["height"]])
+    refused = torchrefrac("scene=capture", *given, "dense=patch", "out=dense")
+    assert refused.status != 0
+    assert "the photographs are of 2 epochs" in refused.err

@@ -6,7 +6,16 @@ import torch
 from tests.bundle.bundle_oracles import jacobian_of, moved, num_unknowns
 from tests.bundle.changes import changed
 from tests.tolerances import assert_matches
-from torchrefrac.bundle import CenterPrior, Expectations, GravityPrior, HeightPrior, KnownPoints, ScaleBars, Waterline
+from torchrefrac.bundle import (
+    CenterPrior,
+    Expectations,
+    GravityPrior,
+    HeightPrior,
+    KnownPoints,
+    ScaleBars,
+    WaterLevels,
+    Waterline,
+)
 from torchrefrac.bundle.layout import WATER_WIDTH
 from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.bundle.terms import GlobalPrior, concerned_points
@@ -15,7 +24,7 @@ INTRINSICS_NAMES = ("focal", "principal_point", "distortion")
 WATER = tuple(WATER_WIDTH)
 TWO = torch.tensor((2, 0))
 SIGMA = torch.tensor((0.5, 2.0), dtype=torch.float64)
-MEASURED = ("gravity", "gravity of some", "centre", "height", "known points", "scale bars", "waterline")
+MEASURED = ("gravity", "gravity of some", "centre", "height", "known points", "scale bars", "waterline", "levels")
 every_measurement = pytest.mark.parametrize("name", MEASURED)
 
 
@@ -58,6 +67,7 @@ def measure(draw):
                     lambda s: ((s.points[one[0]] - s.points[one[1]]).norm(dim=1) - 20.0 - error) / SIGMA,
                 ),
                 "waterline": (Waterline(TWO, on, SIGMA), lambda s: above(s, s.points[TWO], on) / SIGMA),
+                "levels": (WaterLevels(on, position, SIGMA), lambda s: above(s, position, on) / SIGMA),
             }[name],
             information,
             truth,

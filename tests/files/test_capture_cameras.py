@@ -202,3 +202,20 @@ def _image(**values):
 def test_what_cannot_be_right_is_refused_by_name(load, change, sentence):
     with pytest.raises(CaptureError, match=sentence):
         load(change)
+
+
+def test_epochs_arrive_in_the_order_of_the_images(load):
+    def of(*names):
+        def change(content):
+            for image, name in zip(content["images"], names, strict=False):
+                image["epoch"] = name
+
+        return change
+
+    capture = load(of("june", "may", "june"))
+    assert (capture.epochs, capture.epoch.tolist()) == (("june", "may"), [0, 1, 0])
+    assert capture.of_views([1, 2]).epoch.tolist() == [1, 0]
+    alone = load(of("may", "may", "may"))
+    assert (alone.epochs, alone.epoch.tolist()) == ((), [0, 0, 0])
+    with pytest.raises(CaptureError, match=r"images\[2\].epoch of c.png is missing, but others have it"):
+        load(lambda content: content["images"][2].pop("epoch"))

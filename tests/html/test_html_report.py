@@ -244,3 +244,18 @@ def test_a_sweep_of_failures_alone_has_a_report(planted, tmp_path):
 
     assert "0 of 1 jobs are complete" in page.text
     assert "no images" in page.text
+
+
+def test_check_points_and_levels_of_a_survey_stand_in_tables(planted):
+    row = {"name": "check1", "dx": 0.0123, "dy": -0.004, "dz": 0.02, "distance": 0.0238, "sigma": [0.005, 0.006, 0.011]}
+    level = {"source": "gauge bridge", "height": 430.981, "sigma": 0.01, "weight_percent": 71.3}
+    about = {"check_points": [row], "check_rms_xy_cm": 0.0129, "check_rms_z_cm": 0.02, "water_level_from": [level]}
+
+    page = write_report(planted.complete("surveyed", **about)).read_text()
+
+    cells = re.findall(r"<t[dh][^>]*>([^<]*)</t[dh]>", page)
+    at = cells.index("check1")
+    assert cells[at + 1 : at + 6] == ["0.0123", "-0.004", "0.02", "0.0238", "0.005, 0.006, 0.011"]
+    at = cells.index("gauge bridge")
+    assert cells[at + 1 : at + 3] == ["430.981 ± 0.010", "71.3 %"]
+    assert "Ground control points" not in page

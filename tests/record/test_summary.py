@@ -10,6 +10,20 @@ METRICS = {
 }  # fmt: skip
 
 
+def test_check_points_and_what_decided_the_level_are_told():
+    of_points = {"check_points": [{}, {}], "check_rms_xy_m": 0.012, "check_rms_z_m": 0.0171}
+    of_water = {
+        "water_levels_m": {"may": {"height": 431.0, "sigma": 0.01}},
+        "water_level_from": [{"source": "gauge", "weight_percent": 75.0}, {"source": "images", "weight_percent": 25.0}],
+    }
+
+    lines = reconstruction_lines(METRICS | of_points | of_water)
+
+    assert "2 check points meet 0.012 m (xy) and 0.0171 m (z) RMS from where they are stated" in lines
+    assert "water of may: 431 m +- 0.01" in lines
+    assert "level of the water from gauge 75 %, images 25 %" in lines
+
+
 def test_points_outside_the_water_are_told_apart():
     lines = reconstruction_lines(METRICS)
     assert "3420 points under water, 128 above its level, 1437 below it, but outside the water" in lines

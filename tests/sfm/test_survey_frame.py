@@ -36,7 +36,7 @@ def placed(scene, capture):
 
 
 def contradicted(scene):
-    return position_contradictions(scene, scene.assessment.surveyed)
+    return position_contradictions(scene, scene.assessment.surveyed, scene.assessment.lowered_by)
 
 
 @pytest.fixture
@@ -126,7 +126,8 @@ def test_a_position_that_most_contradict_is_named_and_left_out(survey_of, draw):
 
 
 def test_a_lowered_survey_remembers_the_level():
-    survey = replace(Survey.empty("ab"), center=torch.zeros(2, 3).double())
+    images = {name: SurveyedImage(center=([0.0, 0.0, 0.0], torch.eye(3).tolist())) for name in "ab"}
+    survey = resolve(images, {}, [], "ab")
 
     twice = SurveyFrame(survey, survey, 0).lowered(3.0).lowered(-1.0)
 
@@ -267,3 +268,15 @@ def test_a_capture_takes_in_what_a_survey_measured_of_its_images(survey_of):
     assert beside.center_image.tolist() == [2]
     assert torch.equal(beside.center_information, stated.center_information)
     assert with_measured(survey.capture, Survey.empty(survey.capture.names)) is survey.capture
+
+
+def test_ground_control_in_another_datum_is_named_and_left_out(survey_of, draw):
+    survey = positioned(survey_of(cameras=6, points=150, noise=0.1, gravity_error_deg=0.3), draw)
+    lift = torch.tensor((0.0, 0.0, LEVEL - 46.5))
+
+    scene = reconstruct_with(survey, control_of(survey, draw, lambda point: point + lift))
+
+    (found,) = contradicted(scene)
+    assert found.code == "control_contradicts"
+    assert re.search(r"count from levels that are 46.\d+ apart, as of two datums: give both in one", found.message)
+    assert scene.assessment.lowered_by == pytest.approx(LEVEL, abs=0.1)

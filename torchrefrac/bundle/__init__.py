@@ -16,13 +16,14 @@ from torchrefrac.bundle.terms import (
     KnownPoints,
     ScaleBars,
     Term,
+    WaterLevels,
     Waterline,
 )
 from torchrefrac.bundle.uncertainty import Uncertainty, estimate_pixel_sigma, uncertainty
 
 __all__ = [
     "BundleOptions", "BundleProblem", "BundleReport", "CenterPrior", "CommonErrors", "Determination", "Expectations",
-    "GravityPrior", "HeightPrior", "KnownPoints", "ScaleBars", "Term", "UnadjustableError", "Uncertainty", "Waterline",
-    "adjust", "adjust_differentiably", "adjust_pose", "check_inputs", "determinations", "estimate_pixel_sigma",
-    "uncertainty", "wished_changes",
+    "GravityPrior", "HeightPrior", "KnownPoints", "ScaleBars", "Term", "UnadjustableError", "Uncertainty",
+    "WaterLevels", "Waterline", "adjust", "adjust_differentiably", "adjust_pose", "check_inputs", "determinations",
+    "estimate_pixel_sigma", "uncertainty", "wished_changes",
 ]  # fmt: skip

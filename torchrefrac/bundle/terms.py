@@ -125,6 +125,19 @@ class Waterline:
 
 
 @dataclass(frozen=True)
+class WaterLevels:
+    """Places that lie on the interfaces `interface`, as by a gauge, with standard deviations sigma."""
+
+    interface: Int[Tensor, " k"]
+    position: Float[Tensor, "k 3"]
+    sigma: Float[Tensor, " k"]
+
+    def residuals(self, scene: Scene, layout: Layout) -> Residuals:
+        above, jacobian = _above_plane(scene, self.interface, self.position)
+        return _scalar(above, jacobian[:, 3:], layout.plane_columns(self.interface), self.sigma)
+
+
+@dataclass(frozen=True)
 class Expectations:
     """Standard deviations of the start's intrinsics and water; None: nothing is known.
 

@@ -51,6 +51,7 @@ from torchrefrac.sfm import (
 )
 from torchrefrac.sfm.frame import transformed
 from torchrefrac.sfm.positions import surveyed
+from torchrefrac.sfm.stated_levels import StatedLevels
 
 TRACKS = "tracks.npz"
 
@@ -92,9 +93,11 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
         scene = read_scene(options.alignment)
         truth = _truth(options, given)
         names = scene.views.names
-        survey = read_survey(options.survey, names) if options.survey else Survey.empty(names)
+        survey = read_survey(options.survey, names, scene.georeference) if options.survey else Survey.empty(names)
         read = _with_water(scene, options, given)
         placed = placed_in_survey(read, survey, recorder, not _states_water(options, given))
+        if survey.level_sources and not _states_water(options, given):
+            placed = replace(placed, scene=_at_stated_level(placed.scene, survey))
         how = _with_varying_plane(options)
         placed = _with_found_plane(placed, survey, how, recorder)
         scene = placed.scene
@@ -188,6 +191,14 @@ def _index_ratio(scene: Scene, options: AdjustOptions, run: RunRecord | None) ->
         return scene.index_ratio
     capture = None if run is None else run.capture
     return FRESH_WATER if capture is None or not capture.is_dir() else load_capture(capture).index_ratio
+
+
+def _at_stated_level(scene: Scene, survey: Survey) -> Scene:
+    """With its one plane where the survey states the water."""
+    levels = StatedLevels.of(survey, scene)
+    weight = levels.sigma.square().reciprocal()
+    offset = ((weight * levels.height).sum() / weight.sum()).reshape(1)
+    return replace(scene, interfaces=replace(scene.interfaces, offset=offset))
 
 
 def _with_varying_plane(options: AdjustOptions) -> AdjustOptions:

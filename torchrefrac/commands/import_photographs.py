@@ -28,6 +28,7 @@ from torchrefrac.files.metadata.position import Vertical
 from torchrefrac.files.metadata.quality import look_at, useless
 from torchrefrac.files.metadata.subtitles import subtitles_beside
 from torchrefrac.files.metadata.table import Row, read_table
+from torchrefrac.files.metadata.times import epochs_of
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.survey import SURVEY, write_survey
 from torchrefrac.files.swap import PARTIAL, alone, finish, remove_if_empty, swap
@@ -143,7 +144,9 @@ def _import_into(place: Path, out: Path, options: ImportOptions, recorder: Recor
     lenses = by_camera(gathered, _lenses(photographs, options))
     vertical = None if options.vertical == "auto" else Vertical[options.vertical.upper()]
     placement = place_all([one.place for one in gathered], options.crs or crs, vertical)
-    water = Water(options.index_ratio, options.water_level, options.take_off_above_water)
+    gap, times = options.epoch_gap_hours, [one.photograph.time for one in gathered]
+    epochs = () if gap is None else epochs_of(times, gap)
+    water = Water(options.index_ratio, options.water_level, options.take_off_above_water, epochs)
     where = IMAGES if film is not None else _folder_name(folder, out)
     content = capture_content(where, gathered, lenses, placement, water)
     write_json(content, place / CAPTURE)

@@ -15,7 +15,7 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.commands.survey_products import require_place
-from torchrefrac.config import Options
+from torchrefrac.config import OptionError, Options
 from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.evaluate.doubts import doubts
 from torchrefrac.evaluate.metrics import evaluate_run
@@ -27,7 +27,7 @@ from torchrefrac.files.masks import Masks
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.survey import SURVEY, read_survey
 from torchrefrac.recorder import Recorder, SilentRecorder
-from torchrefrac.scene import Capture, Scene, Survey, Truth, WarningCode, with_measured
+from torchrefrac.scene import Capture, Scene, Survey, SurveyError, Truth, WarningCode, with_measured
 from torchrefrac.sfm import (
     PinholeInitializer,
     PoseInitializer,
@@ -36,6 +36,7 @@ from torchrefrac.sfm import (
     UnknownVerticalError,
     VerifiedPair,
     better_focal,
+    check_levels,
     complete_gravity,
     errors_are_rough,
     errors_in_air_and_water,
@@ -78,6 +79,7 @@ def reconstruct(
     options = options or Options()
     survey = survey or survey_of(capture, options)
     capture = with_measured(capture, survey)
+    check_levels(survey, capture)
     recorder = recorder or SilentRecorder()
     stage = _Stages(on_stage)
     generator = torch.Generator().manual_seed(options.seed)
@@ -125,9 +127,9 @@ def reconstruct(
             focal := better_focal(found, replace(stated, cameras=found.cameras), matches, features, verified.sfm)
         ) is not None:
             known = replace(known, wished={"focal": focal})
-        place = stated.georeference if known.lowered_by is not None else None
+        place = stated.georeference or survey.georeference if known.lowered_by is not None else None
         found = replace(found, assessment=known, georeference=place and place.raised(known.lowered_by or 0.0))
-        about_positions = position_contradictions(found, found.assessment.surveyed)
+        about_positions = position_contradictions(found, known.surveyed, known.lowered_by)
         return replace(found, findings=(*contradictions(found, stated), *about_positions, *doubts(stated)))
 
     return stage("sparse", sparse)
@@ -147,9 +149,15 @@ def run(
     Each stage's files are written when it ends. When a stage fails or is interrupted, metrics.json says which, why, and
     what was complete before; the dense stage goes on with the images that were finished when the same is run again.
     """
-    require_place(options.outputs, capture.georeference)
+    survey = survey_of(capture, options)
+    require_place(options.outputs, capture.georeference or survey.georeference)
+    if len(capture.epochs) > 1 and options.dense.method != "none":
+        raise OptionError(
+            f"dense.method is {options.dense.method!r}, but the photographs are of {len(capture.epochs)} epochs, whose "
+            "water the dense stage does not know yet: set dense=none"
+        )
     files, pictures = RunFolder(folder), StagePictures(capture, recorder)
-    gravity = with_measured(capture, survey_of(capture, options)).gravity_metrics
+    gravity = with_measured(capture, survey).gravity_metrics
 
     def stage_done(name: str, product: Any, seconds: float) -> None:
         files.stage_done(name, product, seconds)
@@ -157,7 +165,7 @@ def run(
 
     known = {"model": options.model.name, "capture": str(real_path(capture.folder))} | dict(about or {})
     with files.recording(**known, **gravity):
-        scene = reconstruct(capture, options, recorder, stage_done)
+        scene = reconstruct(capture, options, recorder, stage_done, survey)
         with recorder.meter(2, "evaluating", "") as advance:
             metrics, alignment = evaluate_run(scene, truth)
             lowered = scene.assessment.lowered_by or 0.0
@@ -174,7 +182,14 @@ def survey_of(capture: Capture, options: Options) -> Survey:
     """What was measured on site: in the file that the options name, or else beside the capture."""
     beside = capture.folder / SURVEY
     path = options.survey or (beside if beside.is_file() else None)
-    return Survey.empty(capture.names) if path is None else read_survey(path, capture.names)
+    if path is None:
+        return Survey.empty(capture.names)
+    survey = read_survey(path, capture.names, capture.georeference)
+    if survey.georeference is not None and capture.length_unit != "m":
+        raise SurveyError(
+            f"{path} has positions on a map, in m, but lengths of the capture are in {capture.length_unit}"
+        )
+    return survey
 
 
 class _Stages:

@@ -84,8 +84,9 @@ class ImportOptions(BoardOptions):
     goes.
 
     photographs: folders, files, patterns, or a film. table: a CSV file, or a geo.txt. crs: of positions, by default the
-    zone of UTM. vertical: what altitudes count from, by default what those of most photographs do. water_level: the
-    water's altitude; take_off_above_water: height of the place of the take-off. cameras: what tells cameras apart.
+    zone of UTM. vertical: what altitudes count from, by default what those of most photographs do. epoch_gap_hours:
+    after which without photographs the water may stand at another level; None: it did not. water_level: the water's
+    altitude; take_off_above_water: height of the place of the take-off. cameras: what tells cameras apart.
     camera: a file written by `torchrefrac calibrate`. focal_px: of all photographs. gravity_sigma_deg, position_sigma
     (horizontal, vertical; m), focal_sigma (relative): instead of those by the makers of the devices. look: whether
     photographs are looked at, and useless ones left out. board and what goes with it: what lies in the scene and gives
@@ -97,6 +98,7 @@ class ImportOptions(BoardOptions):
     out: str
     table: str | None = None
     index_ratio: float = 1.333
+    epoch_gap_hours: float | None = None
     crs: str | None = None
     vertical: Literal["auto", "ellipsoid", "sea_level", "take_off", "table"] = "auto"
     water_level: float | None = None
@@ -136,6 +138,7 @@ class ImportOptions(BoardOptions):
         require_ranges(
             self,
             {
+                "epoch_gap_hours": Range(above=0.0, at_most=1e6),
                 "water_level": ANY_ALTITUDE,
                 "take_off_above_water": ANY_ALTITUDE,
                 "focal_px": Range(above=0.0, at_most=1e7),

@@ -114,7 +114,8 @@ class DenseOutputs:
 class Options:
     """Everything that decides how a capture is reconstructed, and what is written of its dense surface.
 
-    survey: path of a survey.json; None: the one beside the capture.json, if there is one.
+    survey: path of a survey.json, a gcp_list.txt or a table of control points; None: the survey.json beside the
+    capture.json, if there is one.
     """
 
     model: ModelOptions = field(default_factory=ModelOptions)

@@ -162,7 +162,7 @@ def _levels(scene: Scene) -> list[Finding]:
     message = (
         f"the water stood {abs(higher):.3g} {unit} {'higher' if higher > 0.0 else 'lower'} when {listed(names)} were "
         f"taken than for the other {others} images, but one level was taken for all, so that cameras and points are "
-        "wrong: reconstruct the two groups apart"
+        "wrong: state the epoch of each image, or reconstruct the two groups apart"
     )
     return [Finding(WarningCode.WATER_LEVEL_CONTRADICTS, message, names)]
 

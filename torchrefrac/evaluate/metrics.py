@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchrefrac.evaluate.point_errors import point_metrics
 from torchrefrac.evaluate.true_surface import TrueSurface
+from torchrefrac.evaluate.water_levels import level_metrics
 from torchrefrac.geometry import Similarity, align_above_plane, align_similarity, so3_log, split_heading
 from torchrefrac.scene import Cameras, Scene, Truth
 from torchrefrac.scene.tables import ONLY
@@ -39,7 +40,7 @@ def summarize(scene: Scene) -> dict[str, Any]:
     for name, sigma in (("point", known.point_sigma), ("camera", known.center_sigma)):
         if sigma is not None and len(sigma):
             metrics[f"{name}_sigma_median_{scene.length_unit}"] = float(sigma.median())
-    metrics |= against_positions(scene)
+    metrics |= against_positions(scene) | level_metrics(scene)
     if known.determined:
         metrics["determined"] = list(known.determined)
     if known.fixed:
@@ -80,9 +81,7 @@ def against_positions(scene: Scene) -> dict[str, float]:
     """Of a scene in the frame of the positions that its capture or a survey states.
 
     With UNIT its length unit: position_rms_UNIT and position_rms_vertical_UNIT of registered cameras, horizontally and
-    in height; water_level_UNIT and water_level_sigma_UNIT, the height of the water among the positions and its standard
-    deviation; heading_off_deg, the median difference of
-    headings, where these are stated.
+    in height; heading_off_deg, the median difference of headings, where these are stated.
     """
     capture, lowered, unit = scene.capture, scene.assessment.lowered_by, scene.length_unit
     if capture is None or lowered is None:
@@ -94,10 +93,6 @@ def against_positions(scene: Scene) -> dict[str, float]:
     if len(off):
         found[f"position_rms_{unit}"] = rms(off[:, :2].norm(dim=-1))
         found[f"position_rms_vertical_{unit}"] = rms(off[:, 2])
-    if scene.interfaces.refract():
-        found[f"water_level_{unit}"] = lowered
-        if scene.assessment.water_level_sigma is not None:
-            found[f"water_level_sigma_{unit}"] = scene.assessment.water_level_sigma
     compass = views.registered & capture.has_heading
     if bool(compass.any()):
         _, heading = split_heading(views.rotation[compass])

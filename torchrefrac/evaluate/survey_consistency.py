@@ -7,6 +7,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from torchrefrac.evaluate.consistency import VAGUE_DEG, about_given, about_images, listed, named
+from torchrefrac.evaluate.water_levels import level_contradictions
 from torchrefrac.scene import Finding, Scene, Survey, Surveyed, WarningCode
 from torchrefrac.sfm.gravity import contradicted_gravity, with_common_tilt
 from torchrefrac.sfm.positions import Disagreement, of_centers, surveyed
@@ -17,15 +18,18 @@ def survey_contradictions(scene: Scene, survey: Survey, used: Survey) -> tuple[F
     """All of them, those first that others may follow from. `scene`: what came out, with all its views and its
     assessment, the ground control points of the `survey` being its last points; used: what of the survey it was
     adjusted with."""
-    stated = *_gravity(scene, survey), *_tilt(scene), *position_contradictions(scene, surveyed(scene, survey, used))
+    positions = position_contradictions(scene, surveyed(scene, survey, used), 0.0)
+    stated = *_gravity(scene, survey), *_tilt(scene), *positions
     return (*about_given(scene), *stated, *about_images(scene))
 
 
-def position_contradictions(scene: Scene, known: Surveyed | None) -> tuple[Finding, ...]:
-    """What a scene says against the positions of the survey that it was adjusted with, if it was with one."""
+def position_contradictions(scene: Scene, known: Surveyed | None, lowered: float | None) -> tuple[Finding, ...]:
+    """What a scene says against the positions and levels of the survey that it was adjusted with, if it was with one.
+    lowered: how much lower than these it stands; None: in a frame of its own."""
     if known is None:
         return ()
-    return (*_mistake(known), *_positions(scene, known), *_control(scene, known))
+    about_places = *_mistake(known), *_positions(scene, known), *_control(scene, known)
+    return (*about_places, *level_contradictions(scene, known, lowered))
 
 
 def _mistake(known: Surveyed) -> list[Finding]:

@@ -2,6 +2,9 @@
 
 from typing import Any
 
+from jaxtyping import Float, Int
+from torch import Tensor
+
 from torchrefrac.evaluate.metrics import rms
 from torchrefrac.scene import Surveyed
 
@@ -11,7 +14,10 @@ def survey_metrics(known: Surveyed | None, unit: str, level: float = 0.0) -> dic
     how far the places where the rays of their pixels meet are from those that are stated; and what was left out.
 
     With UNIT the length unit: marks, positions by name; mark_residuals_UNIT, differences [x, y, z] by name, and
-    mark_rms_UNIT, of their lengths; lost_marks: those that do not fit, or are not seen; images_only_in_survey.
+    mark_rms_UNIT, of their lengths, of those that took part; control_points and check_points, rows with name, dx, dy,
+    dz, distance, and sigma, the standard deviations [x, y, z] of where the point is; control_rms_xy_UNIT,
+    control_rms_z_UNIT, check_rms_xy_UNIT, check_rms_z_UNIT; lost_marks: those that do not fit, or are not seen;
+    images_only_in_survey.
     """
     if known is None:
         return {}
@@ -24,9 +30,30 @@ def survey_metrics(known: Surveyed | None, unit: str, level: float = 0.0) -> dic
     found: dict[str, Any] = {
         "marks": {name: position for name, position, there in control if there},
         f"mark_residuals_{unit}": compared,
+        **_table(known, "control", stated.known_control, known.off, unit),
+        **_table(known, "check", stated.check_control, known.check_off, unit),
         "lost_marks": [*(name for name, _, there in control if not there), *stated.skipped_controls],
         "images_only_in_survey": list(stated.skipped),
     }
     if compared:
         found[f"mark_rms_{unit}"] = rms(known.off.norm(dim=-1))
     return {name: value for name, value in found.items() if value}
+
+
+def _table(
+    known: Surveyed, kind: str, control: Int[Tensor, " k"], off: Float[Tensor, "k 3"], unit: str
+) -> dict[str, Any]:
+    """A row for each point whose rays meet, and the root mean squares of these."""
+    met = known.met[control]
+    control, off = control[met], off[met]
+    if not len(off):
+        return {}
+    columns = zip(control.tolist(), off.tolist(), off.norm(dim=-1).tolist(), strict=True)
+    rows = []
+    for i, (x, y, z), distance in columns:
+        row: dict[str, Any] = {"name": known.stated.control_names[i], "dx": x, "dy": y, "dz": z, "distance": distance}
+        if bool(known.sigma[i].isfinite().all()):
+            row["sigma"] = known.sigma[i].tolist()
+        rows.append(row)
+    horizontal, vertical = rms(off[:, :2].norm(dim=-1)), rms(off[:, 2])
+    return {f"{kind}_points": rows, f"{kind}_rms_xy_{unit}": horizontal, f"{kind}_rms_z_{unit}": vertical}

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -38,6 +38,8 @@ from torchrefrac.scene.tables import PLAIN
 
 CAMERAS, FORMAT, SEVERAL = "cameras.json", "torchrefrac-cameras/1", "torchrefrac-cameras/2"
 """The second format has a table of cameras; the first is written where there is one, with five coefficients."""
+LEVELS = "torchrefrac-cameras/3"
+"""The same with several water surfaces, of as many epochs: their heights, and which of them an image has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +71,9 @@ def write_cameras(scene: Scene, path: Path) -> None:
     Raises SceneError for water that is not the plane z = 0: the file has no place for it.
     """
     cameras, views = scene.cameras, scene.views
-    several = len(cameras) != 1 or cameras.models != (PLAIN,) or cameras.coefficients > 5
-    if not scene.interfaces.is_level:
+    epochs = len(scene.interfaces) > 1
+    several = epochs or len(cameras) != 1 or cameras.models != (PLAIN,) or cameras.coefficients > 5
+    if not (scene.interfaces.is_level or (epochs and scene.interfaces.are_horizontal)):
         remedy = "write a COLMAP model and water.json"
         raise SceneError(f"{path} has no place for water that is not the plane z = 0; {remedy}")
     covariance = scene.assessment.center_covariance
@@ -80,6 +83,8 @@ def write_cameras(scene: Scene, path: Path) -> None:
         entry: dict[str, object] = {"name": name, "registered": registered}
         if several:
             entry["camera"] = cameras.names[int(views.camera[i])]
+        if epochs:
+            entry["water"] = int(views.interface[i])
         if registered:
             entry["cam_from_world_rotation"] = views.rotation[i].tolist()
             entry["center_in_world"] = views.center[i].tolist()
@@ -93,19 +98,22 @@ def write_cameras(scene: Scene, path: Path) -> None:
         "index_ratio": scene.index_ratio,
         "pixel_origin": "corner",
     }
+    if epochs:
+        known["water_levels"] = scene.interfaces.offset.tolist()
     if scene.georeference is not None:
         known[GEOREFERENCE] = georeference_content(scene.georeference)
     lenses: dict[str, object] = {"cameras": cameras_content(cameras)}
     if not several:
         lenses = {"intrinsics": intrinsics_content(cameras[0])}
-    write_json({"format": SEVERAL if several else FORMAT, **known, **lenses, "images": images}, path)
+    kind = LEVELS if epochs else SEVERAL if several else FORMAT
+    write_json({"format": kind, **known, **lenses, "images": images}, path)
 
 
 def read_cameras(path: Path) -> Scene:
     """Read `cameras.json`: the views of a run, registered or not, without points, and of the assessment that of the
     centres. Raises SceneError, with the file and the field, for anything that cannot be right."""
     with scene_fields(path) as top:
-        several = top.must_be("format", FORMAT, SEVERAL) == SEVERAL
+        several = top.must_be("format", FORMAT, SEVERAL, LEVELS) != FORMAT
         top.must_be("pixel_origin", "corner")
         if top.number("index_ratio") < 1.0:
             raise top.fail("index_ratio", f"is {top.number('index_ratio'):g}, but must be at least 1")
@@ -118,11 +126,12 @@ def read_cameras(path: Path) -> Scene:
         pose.center[known] = _table([image.position("center_in_world") for image in registered], 3)
         cameras = read_cameras_table(top.members("cameras")) if several else _only(top.object("intrinsics"))
         camera = torch.tensor(camera_of_images(images, cameras)) if several else None
+        interfaces, water = _water(top, images)
         none = torch.zeros(0, 3, dtype=torch.float64)
         return Scene(
             cameras=cameras,
-            views=replace(Views.posed(pose, names, camera), registered=known),
-            interfaces=Interfaces.level(top.number("index_ratio")),
+            views=replace(Views.posed(pose, names, camera, water), registered=known),
+            interfaces=interfaces,
             points=none,
             colors=none.to(torch.uint8),
             placed=torch.zeros(0, dtype=torch.bool),
@@ -133,6 +142,21 @@ def read_cameras(path: Path) -> Scene:
             assessment=_assessment(registered),
             georeference=read_georeference(top),
         )
+
+
+def _water(top: Fields, images: Sequence[Fields]) -> tuple[Interfaces, Int[Tensor, " m"] | None]:
+    """The surfaces, and which of them each image has; None where there is one."""
+    one = Interfaces.level(top.number("index_ratio"))
+    if top.text("format") != LEVELS:
+        return one, None
+    levels = top.number_list("water_levels")
+    rows = [image.integer("water") for image in images]
+    for image, row in zip(images, rows, strict=True):
+        if not 0 <= row < len(levels):
+            raise image.fail("water", f"is {row}, but must lie in 0 to {len(levels) - 1}, one of water_levels")
+    each = torch.tensor(levels, dtype=torch.float64)
+    surfaces = Interfaces(one.normal.repeat(len(each), 1), each, one.index_ratio.repeat(len(each)))
+    return surfaces, torch.tensor(rows)
 
 
 def _only(intrinsics: Fields) -> Cameras:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -32,9 +33,9 @@ def load_capture(folder: str | Path) -> Capture:
     Images that are damaged or cannot be read are left out and listed in `damaged`, where two or more others are left.
     Raises CaptureError with one sentence for anything else that cannot be right: a missing image, one of another size
     than its camera, a mask that fits no image or has another size, a missing or mistyped field, a camera that is not in
-    the table, in format 1 gravity or headings of some images only, gravity that is no unit vector, a camera that looks
-    at the sky, a position without a sigma, an index ratio below 1 or beyond any liquid, an extent of the water that is
-    no polygon, fewer than two images, a name given twice.
+    the table, in format 1 gravity or headings of some images only, epochs of some images only, gravity that is no unit
+    vector, a camera that looks at the sky, a position without a sigma, an index ratio below 1 or beyond any liquid, an
+    extent of the water that is no polygon, fewer than two images, a name given twice.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -62,6 +63,7 @@ def load_capture(folder: str | Path) -> Capture:
         length_unit=top.length_unit(),
         water_extent=_water_extent(top, images),
         georeference=read_georeference(top),
+        **_epochs(images),
         **read_measured(top, images),
     )
     whole = [i for i, path in enumerate(paths) if path not in damaged]
@@ -98,7 +100,7 @@ def pixel_shift(top: Fields, origin: str) -> float:
 
 def _names(images: list[Fields], several: bool) -> tuple[str, ...]:
     """Those of the images, all of whose fields must be known."""
-    known = ("camera", *MEASURED) if several else ("down_in_cam", "height", "heading_deg", "center_prior")
+    known = ("camera", "epoch", *MEASURED) if several else ("down_in_cam", "height", "heading_deg", "center_prior")
     for image in images:
         image.only("name", *known, "water_extent")
         name = image.text("name")
@@ -107,6 +109,16 @@ def _names(images: list[Fields], several: bool) -> tuple[str, ...]:
         if "center_prior" in image:
             image.position("center_prior")
     return different_names(images)
+
+
+def _epochs(images: list[Fields]) -> dict[str, Any]:
+    """The fields of a capture about them: nothing where all images are of one. The first is that of the first image."""
+    require_for_all(images, "epoch")
+    names = [image.text("epoch") for image in images if "epoch" in image]
+    epochs = tuple(dict.fromkeys(names))
+    if len(epochs) < 2:
+        return {}
+    return {"epochs": epochs, "epoch": torch.tensor([epochs.index(name) for name in names])}
 
 
 def _where(camera: str, several: bool) -> str:

@@ -165,6 +165,13 @@ class Fields:
             raise self.fail(name, f"is {_kind(value)}, but must be a list of {' or '.join(map(str, counts))} numbers")
         return [self._number(f"{name}[{i}]", item) for i, item in enumerate(value)]
 
+    def number_list(self, name: str) -> list[float]:
+        """One number or more."""
+        value = self._get(name)
+        if not isinstance(value, list) or not value:
+            raise self.fail(name, f"is {_kind(value)}, but must be a list of numbers")
+        return self.numbers(name, len(value))
+
     def is_list(self, name: str) -> bool:
         return isinstance(self._get(name), list)
 

@@ -10,28 +10,50 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from torchrefrac.files.capture import pixel_shift
+from torchrefrac.files.control_points import Stated
+from torchrefrac.files.control_table import read_control_table
 from torchrefrac.files.fields import Fields, read_json, write_json
+from torchrefrac.files.gcp_list import read_gcp_list
 from torchrefrac.files.measured import UNIT_TOLERANCE
+from torchrefrac.files.survey_place import survey_in_place
 from torchrefrac.scene.capture import CaptureError
-from torchrefrac.scene.survey import ControlPoint, Matrix, ScaleBar, Survey, SurveyedImage, SurveyError, resolve
+from torchrefrac.scene.georeference import Georeference
+from torchrefrac.scene.survey import (
+    ControlPoint,
+    Matrix,
+    ScaleBar,
+    Survey,
+    SurveyedImage,
+    SurveyError,
+    WaterMark,
+    resolve,
+)
 
 SURVEY = "survey.json"
 """Its name beside a capture.json."""
 FORMAT = "torchrefrac-survey/1"
+GAUGE = "gauge "
+"""How the sources of levels begin that gauges state."""
 Covariance = Float[Tensor, "3 3"]
 IMAGE_FIELDS = {
     "down_in_cam": ("down_in_cam_sigma_deg",),
     "height": ("height_sigma",),
     "center": ("center_sigma", "center_covariance"),
 }
-CONTROL_FIELDS = {"observations": (), "position": ("sigma",), "on_waterline": ("waterline_sigma",)}
+CONTROL_FIELDS = {"observations": (), "position": ("sigma",), "on_waterline": ("waterline_sigma",), "check": ()}
+READERS = {".txt": read_gcp_list, ".csv": read_control_table}
+"""Of files that are no survey.json, by how their names end."""
 RANGE = 1e100  # of lengths and sigmas: their squares and the inverses of those are finite
 SYMMETRY_TOLERANCE = 1e-6  # of covariances, relative to the standard deviations they belong to
 MIN_EIGENVALUE = 1e-10  # of correlations; below, the digits that people write do not tell them from singular ones
 
 
-def read_survey(path: str | Path, names: Sequence[str]) -> Survey:
-    """Read a `survey.json` and resolve it against `names`, those of the views of a scene.
+def read_survey(path: str | Path, names: Sequence[str], place: Georeference | None = None) -> Survey:
+    """Read what was measured on site and resolve it against `names`, those of the views of a scene: a `survey.json`, a
+    table of ground control points (.csv, beside it one of clicks, see `control_table`) or a `gcp_list.txt` (.txt).
+
+    place: where the local frame of the scene stands, if that is known; see `survey_in_place` for positions that have
+    the coordinates of a map.
 
     Everything in the file but `format` is optional; `pixel_origin` is "corner" (COLMAP) unless it says "center"
     (OpenCV). What was measured of an image that is not among `names` is checked like the rest, then left out, and the
@@ -46,28 +68,48 @@ def read_survey(path: str | Path, names: Sequence[str]) -> Survey:
     does not exist, and a file none of whose images is among `names`.
     """
     path = Path(path)
-
     try:
-        missing = "does not exist, but must say what was measured on site"
-        top = read_json(path, missing)
-        top.only("format", "pixel_origin", "images", "marks", "scale_bars")
-        top.must_be("format", FORMAT)
-        shift = pixel_shift(top, top.text("pixel_origin") if "pixel_origin" in top else "corner")
-        images = {name: _image(image) for name, image in top.members("images").items()}
-        controls = {name: _control_point(entry, shift) for name, entry in top.members("marks").items()}
-        for name, point in controls.items():
-            if not point.is_placed:
-                wanted = "must be at least 2x, or 1x beside a position"
-                raise top.fail(f"marks.{name}", f"is observed {len(point.pixels)}x, but {wanted}")
-        bars = [_bar(bar, controls) for bar in top.objects("scale_bars")] if "scale_bars" in top else []
+        stated = READERS.get(path.suffix.lower(), _read_json)(path).of_images(names)
     except CaptureError as error:  # the typed fields speak for every file of a capture
         raise SurveyError(str(error)) from None
-    mentioned = {*images, *(image for point in controls.values() for image in point.pixels)}
-    survey = resolve(images, controls, bars, names)
+    clicked = (image for point in stated.controls.values() for image in point.pixels)
+    mentioned = {*stated.images, *clicked}
+    survey = resolve(stated.images, stated.controls, stated.bars, names, stated.water)
     if mentioned and len(survey.skipped) == len(mentioned):
         wanted = f"the scene has none of them; its images are {_some(names)}"
         raise SurveyError(f"{path} names the images {_some(survey.skipped)}, but {wanted}")
-    return survey
+    return survey_in_place(survey, stated.crs, place, path)
+
+
+def _read_json(path: Path) -> Stated:
+    top = read_json(path, "does not exist, but must say what was measured on site")
+    top.only("format", "pixel_origin", "crs", "images", "marks", "scale_bars", "water_level", "gauges", "waterline")
+    top.must_be("format", FORMAT)
+    shift = pixel_shift(top, top.text("pixel_origin") if "pixel_origin" in top else "corner")
+    images = {name: _image(image) for name, image in top.members("images").items()}
+    controls = {name: _control_point(entry, shift) for name, entry in top.members("marks").items()}
+    for name, point in controls.items():
+        if not point.is_placed:
+            wanted = "must be at least 2x, or 1x beside a position"
+            raise top.fail(f"marks.{name}", f"is observed {len(point.pixels)}x, but {wanted}")
+    bars = [_bar(bar, controls) for bar in top.objects("scale_bars")] if "scale_bars" in top else []
+    return Stated(controls, images, bars, _water(top), top.text("crs", "") or None)
+
+
+def _water(top: Fields) -> list[WaterMark]:
+    """Heights of the water, by themselves and by gauges, and points of its line."""
+    stated = {"water_level": top.object("water_level")} if "water_level" in top else {}
+    stated |= {GAUGE + name: gauge for name, gauge in top.members("gauges").items()}
+    marks = []
+    for source, fields in stated.items():
+        fields.only("height", "sigma", "epoch")
+        height, sigma = fields.number("height"), _positive(fields, "sigma")
+        marks.append(WaterMark(source, (None, None, height), sigma, fields.text("epoch", "")))
+    for line in top.objects("waterline") if "waterline" in top else []:
+        line.only("points", "sigma", "epoch")
+        sigma, epoch = _positive(line, "sigma"), line.text("epoch", "")
+        marks += [WaterMark("waterline", (x, y, z), sigma, epoch) for x, y, z in line.rows("points", 3)]
+    return marks
 
 
 def write_survey(survey: Survey, path: str | Path) -> None:
@@ -87,9 +129,27 @@ def write_survey(survey: Survey, path: str | Path) -> None:
                     survey.bar_from, survey.bar_to, survey.bar_length, survey.bar_sigma
                 )
             ],
+            **_written_water(survey),
         },
         Path(path),
     )
+
+
+def _written_water(survey: Survey) -> dict[str, Any]:
+    """Levels of each source as it would be read, those of places as a waterline."""
+    columns = survey.level, survey.level_position, survey.level_has_place, survey.level_sigma
+    gauges: dict[str, Any] = {}
+    levels: dict[str, Any] = {}
+    lines: list[dict[str, Any]] = []
+    for i, position, has_place, sigma in _rows(*columns):
+        of = {"epoch": survey.level_epochs[i]} if survey.level_epochs[i] else {}
+        if has_place:
+            lines.append({"points": [position], "sigma": sigma, **of})
+        elif survey.level_sources[i].startswith(GAUGE):
+            gauges[survey.level_sources[i].removeprefix(GAUGE)] = {"height": position[2], "sigma": sigma, **of}
+        else:
+            levels = {"water_level": {"height": position[2], "sigma": sigma, **of}}
+    return levels | ({"gauges": gauges} if gauges else {}) | ({"waterline": lines} if lines else {})
 
 
 def _written_images(survey: Survey) -> dict[str, dict[str, Any]]:
@@ -114,6 +174,9 @@ def _written_controls(survey: Survey, path: Path) -> dict[str, dict[str, Any]]:
     if not torch.equal(survey.known_information, variance.diag_embed()):
         name = survey.control_names[int(survey.known_control[0])]
         raise SurveyError(f"{path} has no place for errors of positions that go together, as of {name}; give sigmas")
+    spread = survey.check_information.diagonal(dim1=-2, dim2=-1).rsqrt()
+    for i, position, sigma in _rows(survey.check_control, survey.check_position, spread):
+        controls[i] |= {"position": position, "sigma": sigma, "check": True}
     for i, sigma in _rows(survey.waterline_control, survey.waterline_sigma):
         controls[i] |= {"on_waterline": True, "waterline_sigma": sigma}
     return dict(zip(survey.control_names, controls, strict=True))
@@ -152,7 +215,10 @@ def _control_point(entry: Fields, shift: float) -> ControlPoint:
         known = entry.position("position"), _information(entry, "sigma", _diagonal(entry, "sigma"))
     if "on_waterline" in entry and entry.flag("on_waterline"):
         waterline = _positive(entry, "waterline_sigma")
-    return ControlPoint(pixels, known, waterline)
+    check = entry.flag("check") if "check" in entry else False
+    if check and known is None:
+        raise entry.fail("check", "is true, but without a position there is nothing to compare with")
+    return ControlPoint(pixels, known, waterline, check)
 
 
 def _bar(bar: Fields, controls: Mapping[str, ControlPoint]) -> ScaleBar:

@@ -9,7 +9,7 @@ from torchrefrac.figures.residuals import Residuals
 from torchrefrac.html import drawn, words
 from torchrefrac.html.contents import RunContents, read_contents
 from torchrefrac.html.page import write_page
-from torchrefrac.html.survey import methods, order_table, survey_facts
+from torchrefrac.html.survey import compared_table, level_table, methods, order_table, survey_facts
 from torchrefrac.html.tables import REPORT, Entry, cameras, files_of, photograph_heads, photographs, table1, timings
 from torchrefrac.record.summary import dense_lines
 from torchrefrac.scene import Truth
@@ -48,6 +48,9 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
         dense_words=_dense_words(record.metrics),
         survey=survey_facts(contents),
         orders=order_table(contents),
+        levels=level_table(contents),
+        control=compared_table(contents, "control"),
+        check=compared_table(contents, "check"),
         methods=methods(contents),
         determined=_determined(record.metrics),
         held=list((record.metrics.get("held") or {}).values()),

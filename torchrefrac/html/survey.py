@@ -1,12 +1,14 @@
 """What a report says of a survey: where it stands, how deep, how large and how exact."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from torchrefrac.evaluate.survey_orders import NORMAL_95, ORDERS
 from torchrefrac.html.contents import RunContents
 from torchrefrac.html.tables import Cell, Table
 from torchrefrac.html.words import rounded, with_sigma
 
+COMPARED = ("dx", "dy", "dz", "distance")
 ORDER_NAMES = {"1": "1a and 1b"}
 
 
@@ -53,6 +55,39 @@ def order_table(run: RunContents) -> Table | None:
         for order, share in known
     ]
     return Table(["order of S-44", "a", "b", "of the bed's cells"], rows)
+
+
+def compared_table(run: RunContents, kind: str) -> Table | None:
+    """How far "control" or "check" points are from where they are stated, with the root mean squares below; None where
+    there are none."""
+    rows, unit = run.record.metrics.get(f"{kind}_points") or [], run.unit
+    if not rows:
+        return None
+    cells = [[Cell(row["name"]), *(Cell(_off(row[axis])) for axis in COMPARED), Cell(_sigma(row))] for row in rows]
+    rms = [run.record.number(f"{kind}_rms_{axes}_{unit}") for axes in ("xy", "z")]
+    words = [rounded(value) if value is not None else "" for value in rms]
+    cells.append([Cell("RMS"), Cell(f"xy {words[0]}"), Cell(""), Cell(words[1]), Cell(""), Cell("")])
+    return Table(["point", *(f"{name} ({unit})" for name in COMPARED), f"sigma x, y, z ({unit})"], cells)
+
+
+def level_table(run: RunContents) -> Table | None:
+    """What decided where the water stood; None where no level was stated."""
+    sources = run.record.metrics.get("water_level_from") or []
+    if not sources:
+        return None
+    rows = [
+        [Cell(each["source"]), Cell(with_sigma(each["height"], each["sigma"])), Cell(f"{each['weight_percent']:.3g} %")]
+        for each in sources
+    ]
+    return Table(["level of the water by", f"height ({run.unit})", "weight"], rows)
+
+
+def _off(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def _sigma(row: Mapping[str, Any]) -> str:
+    return ", ".join(f"{sigma:.2g}" for sigma in row.get("sigma", []))
 
 
 def methods(run: RunContents) -> str:

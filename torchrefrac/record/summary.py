@@ -7,6 +7,8 @@ from torchrefrac.evaluate.dense_metrics import FOUND, TYPICAL
 from torchrefrac.record.terminal import wrapped
 
 ORDERS = ("exclusive", "special", "1", "2")  # of S-44, as metrics name them
+COMPARED = (("control", "ground control points"), ("check", "check points"))
+"""Points of a survey by what names of metrics begin with, and what they are called."""
 LEFT_OUT = {
     "lost_images": "images left out, as too few of their points fit",
     "lost_marks": "ground control points left out, as they do not fit or are not seen",
@@ -41,12 +43,29 @@ def adjustment_lines(metrics: Mapping[str, Any]) -> list[str]:
 def _of_survey(metrics: Mapping[str, Any]) -> list[str]:
     """How ground control fits, and what was left out of what was measured on site."""
     left_out = [f"{words}: {', '.join(metrics[key])}" for key, words in LEFT_OUT.items() if key in metrics]
-    key = next((key for key in metrics if key.startswith("mark_rms_")), None)
+    return [*(line for kind in COMPARED for line in _compared(metrics, *kind)), *_levels(metrics), *left_out]
+
+
+def _compared(metrics: Mapping[str, Any], kind: str, words: str) -> list[str]:
+    """How far points of a kind are from where they are stated."""
+    key = next((key for key in metrics if key.startswith(f"{kind}_rms_xy_")), None)
     if key is None:
-        return left_out
-    unit = key.removeprefix("mark_rms_")
-    count = len(metrics[f"mark_residuals_{unit}"])
-    return [f"{count} ground control points meet {metrics[key]:.3g} {unit} RMS from where they are stated", *left_out]
+        return []
+    unit, count = key.removeprefix(f"{kind}_rms_xy_"), len(metrics[f"{kind}_points"])
+    return [
+        f"{count} {words} {'meets' if count == 1 else 'meet'} {metrics[key]:.3g} {unit} (xy) and "
+        f"{metrics[f'{kind}_rms_z_{unit}']:.3g} {unit} (z) RMS from where they are stated"
+    ]
+
+
+def _levels(metrics: Mapping[str, Any]) -> list[str]:
+    """Where the water stood, by epochs, and what decided it where levels were stated."""
+    key = next((key for key in metrics if key.startswith("water_levels_")), None)
+    unit = "" if key is None else key.removeprefix("water_levels_")
+    epochs = {} if key is None else metrics[key]
+    lines = [f"water of {name}: {level['height']:.6g} {unit} +- {level['sigma']:.2g}" for name, level in epochs.items()]
+    sources = [f"{each['source']} {each['weight_percent']:.3g} %" for each in metrics.get("water_level_from", [])]
+    return [*lines, f"level of the water from {', '.join(sources)}"] if sources else lines
 
 
 def _against_truth(metrics: Mapping[str, Any]) -> list[str]:

@@ -35,9 +35,10 @@ class Capture:
     length_unit in the local frame of the georeference, with expected errors of position_sigma along each axis, infinite
     where it is not known. heading: compass heading of the image's top after levelling, radians clockwise from north
     (world +y), with an error of degrees, where has_heading; reports alone look at it. water_extent: where the water
-    ends, if that is known. georeference: where the local frame stands, if that is known. folder: where the capture was
-    read from; truth, if any, lies beside it. damaged: photographs that were listed but are not here, by name, and what
-    is wrong with their files.
+    ends, if that is known. georeference: where the local frame stands, if that is known. epochs: names of the times
+    between which the level of the water may have changed, where there are several; epoch: rows of these. folder: where
+    the capture was read from; truth, if any, lies beside it. damaged: photographs that were listed but are not here, by
+    name, and what is wrong with their files.
     """
 
     folder: Path
@@ -60,6 +61,8 @@ class Capture:
     position_sigma: Float[Tensor, "p 3"] = field(default_factory=lambda: torch.zeros(0, 3, dtype=torch.float64))
     water_extent: WaterExtent | None = None
     georeference: Georeference | None = None
+    epochs: tuple[str, ...] = ()
+    epoch: Int[Tensor, " c"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
     damaged: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -69,6 +72,7 @@ class Capture:
             "has_heading": torch.zeros_like(self.has_height),
             "camera": torch.zeros(len(self), dtype=torch.long),
             "interface": torch.zeros(len(self), dtype=torch.long),
+            "epoch": torch.zeros(len(self), dtype=torch.long),
             "height_sigma": torch.full_like(self.height, torch.inf),
             "position": torch.zeros_like(unknown),
             "position_sigma": unknown,
@@ -128,6 +132,6 @@ class Capture:
 
 PER_VIEW = (
     "down_in_cam", "down_sigma", "height", "has_height", "height_sigma", "position", "position_sigma", "heading",
-    "has_heading", "camera", "interface",
+    "has_heading", "camera", "interface", "epoch",
 )  # fmt: skip
 """The fields of a capture that have a row for each photograph."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -34,3 +35,8 @@ class Georeference:
         points = points.double()
         stretched = points * points.new_tensor((self.scale, self.scale, 1.0))
         return stretched + points.new_tensor(self.origin)
+
+    def local(self, coordinates: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+        """Points in the local frame, of which these are the `coordinates`, float64."""
+        moved = coordinates.double() - coordinates.new_tensor(self.origin, dtype=torch.float64)
+        return moved / moved.new_tensor((self.scale, self.scale, 1.0))

@@ -41,6 +41,11 @@ class Interfaces:
             return False
         return self.normal.tolist() == [[0.0, 0.0, 1.0]] and self.offset.tolist() == [0.0]
 
+    @property
+    def are_horizontal(self) -> bool:
+        """Whether all surfaces are level, at any height."""
+        return all(normal == [0.0, 0.0, 1.0] for normal in self.normal.tolist())
+
     @cached_property
     def is_air(self) -> bool:
         """Whether there is one surface, at which nothing refracts, and nobody wants derivatives."""

@@ -48,7 +48,7 @@ class Assessment:
     lowered_by: how much lower than the positions that the capture or the survey states the scene stands, in whose frame
     it is otherwise: by the height of the water there; None: it is in a frame of its own.
     tilt_sigma: of the tilt of the water to the cameras, radians, where it was refined; None: it was not.
-    water_level_sigma: of the height of the water among the positions; None: it is not known.
+    level_covariance: of the heights of the interfaces in the frame of the positions; None: it is not known.
     surveyed: what became of the survey that the scene was adjusted with; None: there was none.
     water_stated: index ratio of water that was stated, but that the images do not show; None: there is none such.
     in_air_and_water: of a scene without refraction, what its typical reprojection error is and would be under water.
@@ -72,7 +72,7 @@ class Assessment:
     levels: Float[Tensor, " m"] | None = None
     stopped_after: int | None = None
     lowered_by: float | None = None
-    water_level_sigma: float | None = None
+    level_covariance: Float[Tensor, "e e"] | None = None
     surveyed: Surveyed | None = None
     tilt_sigma: float | None = None
     water_stated: float | None = None
@@ -100,6 +100,16 @@ class Assessment:
             point_covariance=spread(self.point_covariance),
             relative_covariance=spread(self.relative_covariance),
         )
+
+    @property
+    def level_sigma(self) -> Float[Tensor, " e"] | None:
+        """Standard deviations of the heights of the interfaces."""
+        return None if self.level_covariance is None else self.level_covariance.diagonal().clamp(min=0.0).sqrt()
+
+    @property
+    def water_level_sigma(self) -> float | None:
+        """That of the height of the first interface."""
+        return None if self.level_sigma is None else float(self.level_sigma[0])
 
     @property
     def point_sigma(self) -> Float[Tensor, " n"] | None:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.scene.capture import Capture
+from torchrefrac.scene.georeference import Georeference
 
 
 class SurveyError(TorchrefracError, ValueError):
@@ -31,16 +32,17 @@ class SurveyedImage:
 @dataclass(frozen=True)
 class ControlPoint:
     """A ground control point. pixels by name of image; known: position and information (3, 3); waterline: sigma, where
-    it lies in the water surface."""
+    it lies in the water surface. is_check: its position is only compared with what comes out."""
 
     pixels: dict[str, list[float]]
     known: tuple[list[float], Matrix] | None = None
     waterline: float | None = None
+    is_check: bool = False
 
     @property
     def is_placed(self) -> bool:
-        """Whether it is observed at least twice, or once beside a known position."""
-        return len(self.pixels) >= (2 if self.known is None else 1)
+        """Whether it is observed at least twice, or once beside a known position that takes part."""
+        return len(self.pixels) >= (2 if self.known is None or self.is_check else 1)
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,18 @@ class ScaleBar:
     end: str
     length: float
     sigma: float
+
+
+@dataclass(frozen=True)
+class WaterMark:
+    """A place at which the water stood: its position, x and y None where only its height is known, and its sigma along
+    the normal of the water. source: who says so, in words; several marks may have one. epoch: that of the photographs,
+    by its name, where there are several."""
+
+    source: str
+    position: tuple[float | None, float | None, float]
+    sigma: float
+    epoch: str = ""
 
 
 @dataclass(frozen=True)
@@ -67,11 +81,14 @@ class Survey:
 
     Control: points that somebody has pointed at in the images, sorted by point. Each is observed at least twice, or
     once where its position is known. Some lie in the water surface, with waterline_sigma along its normal; distances
-    between some are known (bars).
+    between some are known (bars). Of check points the position is known, too, but takes no part in an adjustment.
+
+    Levels: places in the water surface, with level_sigma along its normal; where not level_has_place, only z counts.
+    level: rows of level_sources, who says so, and of level_epochs, of which epoch ("": there is one).
 
     skipped: images that the survey names and the scene does not have; nothing measured of them is in the tables.
     skipped_controls: points that could not be placed without those images; they and their scale bars are not in the
-    tables.
+    tables. georeference: where the frame stands, if the survey says it.
     """
 
     names: tuple[str, ...]
@@ -97,8 +114,18 @@ class Survey:
     bar_to: Int[Tensor, " s"]
     bar_length: Float[Tensor, " s"]
     bar_sigma: Float[Tensor, " s"]
+    check_control: Int[Tensor, " k"]
+    check_position: Float[Tensor, "k 3"]
+    check_information: Float[Tensor, "k 3 3"]
+    level_sources: tuple[str, ...]
+    level_epochs: tuple[str, ...]
+    level: Int[Tensor, " l"]
+    level_position: Float[Tensor, "l 3"]
+    level_has_place: Bool[Tensor, " l"]
+    level_sigma: Float[Tensor, " l"]
     skipped: tuple[str, ...] = ()
     skipped_controls: tuple[str, ...] = ()
+    georeference: Georeference | None = None
 
     @classmethod
     def empty(cls, names: Sequence[str]) -> "Survey":
@@ -117,7 +144,7 @@ class Survey:
     def lowered(self, by: float) -> "Survey":
         """The same in a frame whose origin is so much higher."""
         down = self.center.new_tensor((0.0, 0.0, by))
-        return replace(self, center=self.center - down, known_position=self.known_position - down)
+        return replace(self, **{name: getattr(self, name) - down for name in POSITIONS})
 
     def beside(self, capture: Capture) -> "Survey":
         """The same for a capture of the same images that already has the gravity of it: without gravity, and with the
@@ -138,9 +165,36 @@ class Survey:
             center_image=image[order],
         )
 
-    def without_waterline(self) -> "Survey":
-        """The same without points on the waterline, of a scene that knows nothing of the water."""
-        return replace(self, waterline_control=self.waterline_control[:0], waterline_sigma=self.waterline_sigma[:0])
+    def without_water(self) -> "Survey":
+        """The same without points on the waterline and levels, of a scene that knows nothing of the water."""
+        dry = replace(self, waterline_control=self.waterline_control[:0], waterline_sigma=self.waterline_sigma[:0])
+        return dry.without_levels()
+
+    def without_levels(self) -> "Survey":
+        """The same without any level of the water."""
+        return self.of_levels(torch.zeros(len(self.level_sources), dtype=torch.bool))
+
+    def of_levels(self, sources: Bool[Tensor, " s"]) -> "Survey":
+        """The same with the levels of some of their sources alone."""
+        rows, which = sources[self.level], sources.nonzero()[:, 0].tolist()
+        return replace(
+            self,
+            level_sources=tuple(self.level_sources[i] for i in which),
+            level_epochs=tuple(self.level_epochs[i] for i in which),
+            level=(sources.cumsum(dim=0) - 1)[self.level[rows]],
+            level_position=self.level_position[rows],
+            level_has_place=self.level_has_place[rows],
+            level_sigma=self.level_sigma[rows],
+        )
+
+    def with_levels(self, other: "Survey") -> "Survey":
+        """The same with the levels of another survey."""
+        return replace(self, **{name: getattr(other, name) for name in LEVELS})
+
+    def placed(self, georeference: Georeference) -> "Survey":
+        """The same, which has coordinates of a reference system, in a local frame there."""
+        local = {name: georeference.local(getattr(self, name)) for name in POSITIONS}
+        return replace(self, **local, georeference=georeference)
 
     def without(self, centers: Bool[Tensor, " c"], control: Bool[Tensor, " p"]) -> "Survey":
         """The same without some of the camera centres and some of the known positions of control points."""
@@ -155,24 +209,34 @@ class Survey:
         )
 
 
+LEVELS = ("level_sources", "level_epochs", "level", "level_position", "level_has_place", "level_sigma")
+POSITIONS = ("center", "known_position", "check_position", "level_position")
+"""The fields of a survey that hold places in its frame."""
+
+
 @dataclass(frozen=True, eq=False)
 class Surveyed:
     """What became of a survey in the adjustment of a scene.
 
     stated: all of it, in the frame of the scene; used: what the scene was adjusted with. Of its ground control points:
-    control, where they are, and placed, whether they have a place; of those with known positions: off, where the rays
-    of their pixels meet less what is stated (zero where fewer than two meet); distance from what is stated, also in
-    standard deviations of that, after the adjustment (infinitely many where not even their pixels fit there). mistake:
-    that explains why some positions did not fit, which were left out then, in a sentence; empty where there is none.
+    control, where they are, placed, whether they have a place, met, whether the rays of two of their pixels or more
+    do, and sigma, the standard deviations of where they are along the axes, infinite where these are not known; of
+    those with known positions: off, where the rays of their pixels meet less what is stated (zero where fewer than two
+    meet); distance from what is stated, also in standard deviations of that, after the adjustment (infinitely many
+    where not even their pixels fit there). check_off: as off, of check points. mistake: that explains why some
+    positions did not fit, which were left out then, in a sentence; empty where there is none.
     """
 
     stated: Survey
     used: Survey
     control: Float[Tensor, "c 3"]
     placed: Bool[Tensor, " c"]
+    met: Bool[Tensor, " c"]
+    sigma: Float[Tensor, "c 3"]
     off: Float[Tensor, "p 3"]
     distance: Float[Tensor, " p"]
     deviations: Float[Tensor, " p"]
+    check_off: Float[Tensor, "k 3"]
     mistake: str = ""
 
 
@@ -200,6 +264,7 @@ def resolve(
     controls: Mapping[str, ControlPoint],
     bars: Sequence[ScaleBar],
     names: Sequence[str],
+    water: Sequence[WaterMark] = (),
 ) -> Survey:
     """The survey of a scene with images `names`; what is measured of other images is skipped (see `Survey`).
 
@@ -218,7 +283,11 @@ def resolve(
     height = [(i, *image.height) for i, image in here if image.height is not None]
     center = [(i, *image.center) for i, image in here if image.center is not None]
     observations = [(index[i], number[name], uv) for name, point in placed.items() for i, uv in point.pixels.items()]
-    known = [(number[name], *point.known) for name, point in placed.items() if point.known is not None]
+    positioned = [(number[name], point, *point.known) for name, point in placed.items() if point.known is not None]
+    known, check = (
+        [(i, *known) for i, point, *known in positioned if point.is_check is is_check] for is_check in (False, True)
+    )
+    sources = [*dict.fromkeys((mark.source, mark.epoch) for mark in water)]
     waterline = [(number[name], point.waterline) for name, point in placed.items() if point.waterline is not None]
     bars = [bar for bar in bars if bar.start in placed and bar.end in placed]
     return Survey(
@@ -245,6 +314,15 @@ def resolve(
         bar_to=_longs(number[bar.end] for bar in bars),
         bar_length=_floats(bar.length for bar in bars),
         bar_sigma=_floats(bar.sigma for bar in bars),
+        check_control=_longs(row[0] for row in check),
+        check_position=_floats((row[1] for row in check), 3),
+        check_information=_floats((row[2] for row in check), 3, 3),
+        level_sources=tuple(source for source, _ in sources),
+        level_epochs=tuple(epoch for _, epoch in sources),
+        level=_longs(sources.index((mark.source, mark.epoch)) for mark in water),
+        level_position=_floats(([x or 0.0 for x in mark.position] for mark in water), 3),
+        level_has_place=torch.tensor([mark.position[0] is not None for mark in water], dtype=torch.bool),
+        level_sigma=_floats(mark.sigma for mark in water),
         skipped=tuple(name for name in mentioned if name not in index),
         skipped_controls=tuple(name for name in controls if name not in placed),
     )

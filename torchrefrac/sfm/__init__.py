@@ -14,6 +14,7 @@ from torchrefrac.sfm.readjust import readjust
 from torchrefrac.sfm.refractive import RefractiveInitializer
 from torchrefrac.sfm.register import register, start
 from torchrefrac.sfm.rules import ReadjustOptions, Rules, SfmOptions
+from torchrefrac.sfm.stated_levels import check_levels
 from torchrefrac.sfm.triangulate import triangulate
 from torchrefrac.sfm.unmodelled import errors_in_air_and_water, fits_better_in_air
 from torchrefrac.sfm.verification import VerifiedPair, errors_are_rough, verify_pairs
@@ -24,9 +25,9 @@ from torchrefrac.sfm.water_normal import with_found_normal
 __all__ = [
     "Adjustment", "Filtering", "NoInitialPairError", "Outcome", "PairPose", "PinholeInitializer", "Placed", "Pose",
     "PoseInitializer", "ReadjustOptions", "RefractiveInitializer", "Registration", "Rules", "SfmOptions", "Start",
-    "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal", "complete_gravity",
-    "errors_are_rough", "errors_in_air_and_water", "filter_points", "fits_better_in_air", "level_capture",
-    "placed_in_survey", "readjust", "reconstruct_sparse", "register", "start", "triangulate", "upright",
-    "verify_pairs", "with_found_level", "with_found_normal", "with_likely_focals", "with_noise_found",
+    "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal", "check_levels",
+    "complete_gravity", "errors_are_rough", "errors_in_air_and_water", "filter_points", "fits_better_in_air",
+    "level_capture", "placed_in_survey", "readjust", "reconstruct_sparse", "register", "start", "triangulate",
+    "upright", "verify_pairs", "with_found_level", "with_found_normal", "with_likely_focals", "with_noise_found",
     "with_right_gravity",
 ]  # fmt: skip

@@ -13,6 +13,7 @@ from torchrefrac.bundle import (
     BundleOptions,
     BundleProblem,
     BundleReport,
+    Uncertainty,
     determinations,
     estimate_pixel_sigma,
     uncertainty,
@@ -103,6 +104,11 @@ def adjust(scene: Scene, rules: Rules, on_step: OnStep | None = None) -> tuple[S
     return scene.with_part(part, report.scene), Outcome(kind, report=report)
 
 
+def with_height(bundle: BundleOptions) -> BundleOptions:
+    """With the height of the water free, which positions and stated levels fix in their frame."""
+    return replace(bundle, refine=tuple(dict.fromkeys((*bundle.refine, "plane_height"))))
+
+
 def with_noise_found(bundle: BundleOptions, report: BundleReport) -> BundleOptions:
     """Options for another adjustment, which knows the noise of keypoints from one before it: at most what is expected.
 
@@ -154,6 +160,12 @@ def common_tilt(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Float[Tens
     return tilt
 
 
+def _of_levels(known: Uncertainty) -> Float[Tensor, "e e"]:
+    """Covariance of the heights of the interfaces."""
+    columns = known.layout.plane_columns(known.layout.interfaces)[:, 2]
+    return known.covariance[columns[:, None], columns]
+
+
 def _problem(part: Part, rules: Rules, fixed: dict[str, str]) -> BundleProblem:
     """That of adjusting a part, without what an adjustment refused to refine."""
     refine, terms = tuple(name for name in rules.bundle.refine if name not in fixed), rules.measurements(part)
@@ -188,6 +200,6 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         surface_moves=known.common is not None and known.common.moving_slope > known.common.still_slope,
         common_tilt=None if known.common is None else known.common.tilt(len(scene.views)),
         growth=known.growth,
-        water_level_sigma=float(known.planes[0, 2]) if "plane_height" in problem.layout.water else None,
+        level_covariance=_of_levels(known) if "plane_height" in problem.layout.water else None,
         tilt_sigma=math.radians(tilts[0]) if tilts else None,
     )

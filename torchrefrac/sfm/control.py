@@ -7,18 +7,33 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from torchrefrac.bundle import CenterPrior, GravityPrior, HeightPrior, KnownPoints, ScaleBars, Term, Waterline
+from torchrefrac.bundle import (
+    CenterPrior,
+    GravityPrior,
+    HeightPrior,
+    KnownPoints,
+    ScaleBars,
+    Term,
+    WaterLevels,
+    Waterline,
+)
 from torchrefrac.scene import Observations, Part, Scene, Survey, SurveyError
 
 MAX_DISAGREEMENT_DEG = 45.0
+CLICK = 0.5
+"""Pixels by which somebody who points at a control point errs in a coordinate."""
 
 
-def with_control(scene: Scene, survey: Survey) -> Scene:
-    """The ground control points of the survey are the last points, white, at the origin where no position is known."""
+def with_control(scene: Scene, survey: Survey, pixel_sigma: float = CLICK) -> Scene:
+    """The ground control points of the survey are the last points, white, at the origin where no position is known.
+    pixel_sigma: of keypoints, than which their pixels are noisier by as much as somebody who points errs more."""
     seen, count, k = scene.observations, len(scene.points), len(survey.control_names)
     positions = scene.points.new_zeros(k, 3)
     positions[survey.known_control] = survey.known_position
-    noise = None if seen.noise is None else torch.cat((seen.noise, torch.ones_like(survey.control_pixels[:, 0])))
+    noise, of_clicks = seen.noise, max(CLICK / pixel_sigma, 1.0)
+    if noise is not None or (k and of_clicks > 1.0):
+        ones, every = torch.ones_like(seen.pixels[:, 0]), torch.full_like(survey.control_pixels[:, 0], of_clicks)
+        noise = torch.cat((ones if noise is None else noise, every))
     return replace(
         scene,
         points=torch.cat((scene.points, positions)),
@@ -53,7 +68,7 @@ def survey_terms(survey: Survey, part: Part, ties: int) -> Sequence[Term]:
     ground control points.
 
     Measurements of what does not take part are left out. A control point on the waterline lies in the surface of the
-    first view that shows it.
+    first view that shows it; levels are those of the surfaces of their epochs.
     """
     image_slot = _slots(part.view, len(survey.names))
     slot = _slots(part.point, ties + len(survey.control_names))[ties:]
@@ -75,11 +90,23 @@ def survey_terms(survey: Survey, part: Part, ties: int) -> Sequence[Term]:
         seen = part.scene.observations
         surface = part.scene.views.interface[seen.view[torch.searchsorted(seen.point, point)]]
         terms.append(Waterline(point, surface, survey.waterline_sigma[rows]))
+    if len(survey.level):
+        middle = part.scene.views.center.mean(dim=0)[:2].expand(len(survey.level), 2)
+        anywhere = torch.cat((middle, survey.level_position[:, 2:]), dim=1)
+        places = torch.where(survey.level_has_place[:, None], survey.level_position, anywhere)
+        terms.append(WaterLevels(surface_of_levels(survey, part.scene)[survey.level], places, survey.level_sigma))
     bars = (slot[survey.bar_from] >= 0) & (slot[survey.bar_to] >= 0)
     if bool(bars.any()):
         ends = slot[survey.bar_from[bars]], slot[survey.bar_to[bars]]
         terms.append(ScaleBars(*ends, survey.bar_length[bars], survey.bar_sigma[bars]))
     return terms
+
+
+def surface_of_levels(survey: Survey, scene: Scene) -> Int[Tensor, " s"]:
+    """Which interface of a scene each source of levels is about: that of its epoch, or the only one."""
+    epochs = scene.capture.epochs if scene.capture is not None and len(scene.interfaces) > 1 else ()
+    rows = [epochs.index(name) if name in epochs else 0 for name in survey.level_epochs]
+    return torch.tensor(rows, dtype=torch.long)
 
 
 def _slots(ids: Int[Tensor, " k"], count: int) -> Int[Tensor, " n"]:

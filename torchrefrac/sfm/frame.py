@@ -13,7 +13,10 @@ from torchrefrac.sfm.heights import fit_heights
 
 def fix_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Scene:
     """The scene in its final frame; see `final_frame`."""
-    return transformed(scene, final_frame(scene, capture, has_scale)) if scene.views.num_registered else scene
+    if not scene.views.num_registered:
+        return scene
+    change = final_frame(scene, capture, has_scale)
+    return (transformed if len(scene.interfaces) == 1 else moved)(scene, change)
 
 
 def final_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Similarity:

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from torchrefrac.bundle import BundleOptions, GravityPrior, Term
+from torchrefrac.bundle import GravityPrior, Term
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.features import Features
 from torchrefrac.optim import LevenbergMarquardtOptions
@@ -20,6 +20,7 @@ from torchrefrac.sfm.adjust import (
     assess_scene,
     common_tilt,
     with_errors_found,
+    with_height,
     with_noise_found,
 )
 from torchrefrac.sfm.complete_tracks import complete_tracks
@@ -28,11 +29,12 @@ from torchrefrac.sfm.filter_points import affordable_length, filter_points
 from torchrefrac.sfm.frame import final_frame, fix_frame, with_water_at_zero
 from torchrefrac.sfm.gravity import worst_gravity
 from torchrefrac.sfm.land import flooded
-from torchrefrac.sfm.levels import with_levels
+from torchrefrac.sfm.levels import with_levels, with_surfaces
 from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.pose import PoseInitializer
 from torchrefrac.sfm.register import MIN_INITIAL_POINTS, rank_initial_pairs, register, start, visible_points
 from torchrefrac.sfm.rules import Rules, SfmOptions
+from torchrefrac.sfm.stated_levels import StatedLevels
 from torchrefrac.sfm.survey_frame import SurveyFrame, placed_by_survey
 from torchrefrac.sfm.triangulate import triangulate
 from torchrefrac.sfm.verification import VerifiedPair
@@ -83,7 +85,8 @@ def reconstruct_sparse(
         if sides is not None:
             assessment = replace(assessment, disputed=disputed(scene, rules, sides))
         if growth.frame is not None:
-            scene, surveyed = growth.frame.parted(scene)
+            within = torch.zeros_like(scene.placed).index_fill(0, scene.part().point, True)
+            scene, surveyed = growth.frame.parted(replace(scene, assessment=assessment.spread_over(within)))
             assessment = replace(assessment.of_points(torch.arange(len(scene.part().point))), surveyed=surveyed)
         assessment = with_levels(assessment, scene, rules, growth.fixed)
         advance(1, "")
@@ -202,17 +205,18 @@ class _Growth:
             self.down_sigma = torch.where(unknown | most, torch.inf, self.down_sigma)
             scene = self._converged(scene, rules)
         scene = self._with_survey(scene, length)
-        scene = self._with_water(scene, length)
+        scene = self._with_epochs(self._with_water(scene, length), length)
+        scene = self._with_stated_levels(scene, length)
         return self._with_dry(scene, replace(self._needing(length), max_error=self.final.max_error))
 
     def _with_survey(self, scene: Scene, length: int) -> Scene:
         """Adjusted with what was surveyed, the height of the water among it being what images say."""
-        found = placed_by_survey(scene, self.capture, self.survey)
+        found = placed_by_survey(scene, self.capture, self.survey, self.final.bundle.pixel_sigma)
         if found is None:
             return scene
         scene, self.frame = found
         if scene.interfaces.refract() and self.in_place:
-            self.rules = replace(self.rules, bundle=_with_height(self.rules.bundle))
+            self.rules = replace(self.rules, bundle=with_height(self.rules.bundle))
         return self._at_zero(self._converged(scene, self._needing(length)))
 
     def _needing(self, length: int) -> Rules:
@@ -229,8 +233,29 @@ class _Growth:
         if found is None:
             return scene
         if self.in_place:
-            self.rules = replace(self.rules, bundle=_with_height(self.rules.bundle))
+            self.rules = replace(self.rules, bundle=with_height(self.rules.bundle))
         return self._at_zero(self._converged(self._at_zero(found), self._needing(length)))
+
+    def _with_epochs(self, scene: Scene, length: int) -> Scene:
+        """With a water surface of its own, at a level of its own, for each epoch."""
+        if len(self.capture.epochs) < 2 or not scene.interfaces.refract():
+            return scene
+        self.rules = replace(self.rules, bundle=with_height(self.rules.bundle))
+        each = with_surfaces(scene, self.capture.epoch)
+        return self._at_zero(self._converged(each, self._needing(length)))
+
+    def _with_stated_levels(self, scene: Scene, length: int) -> Scene:
+        """Adjusted with the levels of the water that the survey states, too, unless the rest contradicts them."""
+        if self.frame is None or not self.in_place or not len(self.frame.stated.level):
+            return scene
+        sigma = assess_scene(scene, self.final, self.fixed).level_sigma
+        if sigma is None or not scene.interfaces.refract():
+            return scene
+        agree = StatedLevels.of(self.frame.stated, scene).agree_with(scene.interfaces.offset, sigma)
+        if not bool(agree.any()):
+            return scene
+        self.frame = self.frame.with_levels(agree)
+        return self._at_zero(self._converged(scene, self._needing(length)))
 
     def _at_zero(self, scene: Scene) -> Scene:
         """With the water at z = 0, and the survey likewise."""
@@ -299,8 +324,3 @@ class _Growth:
         """The accepted points (of which at most this many), where anyone wants to see them."""
         ids = torch.unique_consecutive(scene.observations.point[scene.accepted])
         self.journal.show("sparse", scene, ids, most)
-
-
-def _with_height(bundle: BundleOptions) -> BundleOptions:
-    """With the height of the water free, which positions fix in their frame."""
-    return replace(bundle, refine=tuple(dict.fromkeys((*bundle.refine, "plane_height"))))

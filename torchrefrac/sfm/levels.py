@@ -35,7 +35,7 @@ def with_levels(assessment: Assessment, scene: Scene, rules: Rules, fixed: Mappi
     m, sigma = len(part.view), assessment.pixel_sigma
     if m < FEWEST_VIEWS or sigma is None or len(scene.interfaces) > 1 or scene.index_ratio <= 1.0:
         return assessment
-    each = _with_surfaces(part.scene, torch.arange(m))
+    each = with_surfaces(part.scene, torch.arange(m))
     refined = (name for name in rules.bundle.refine if name not in fixed)
     layout = Layout.create(each, tuple(dict.fromkeys((*refined, "plane_height", "index_ratio", "focal"))))
     problem = BundleProblem.create(each, layout, replace(rules.bundle, pixel_sigma=sigma), rules.measurements(part))
@@ -89,12 +89,12 @@ def _are_apart(
 def _adjusted_difference(part: Part, others: Bool[Tensor, " k"], rules: Rules) -> Float[Tensor, ""]:
     """By how much higher the water stands for some views when everything is adjusted with two levels: one step of a
     test falls short of that."""
-    two, bundle = _with_surfaces(part.scene, others.long()), replace(rules.bundle, refine=("plane_height",))
+    two, bundle = with_surfaces(part.scene, others.long()), replace(rules.bundle, refine=("plane_height",))
     offset = adjust(two, bundle, terms=rules.measurements(part), check=False).scene.interfaces.offset
     return offset[1] - offset[0]
 
 
-def _with_surfaces(scene: Scene, interface: Int[Tensor, " m"]) -> Scene:
+def with_surfaces(scene: Scene, interface: Int[Tensor, " m"]) -> Scene:
     """The scene with its one surface as many times as the views need it, which have those of these numbers."""
     count, shared = int(interface.max()) + 1, scene.interfaces
     normal, offset, index_ratio = shared.normal.repeat(count, 1), shared.offset.repeat(count), shared.index_ratio

@@ -7,8 +7,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.geometry import align_similarity
+from torchrefrac.refinement import refine_points
 from torchrefrac.scene import Scene, Survey, Surveyed
+from torchrefrac.sfm.control import CLICK
 from torchrefrac.sfm.gravity import unlikely
+from torchrefrac.sfm.rays import Tracks
 from torchrefrac.sfm.rules import Rules
 from torchrefrac.sfm.stated_places import StatedPlaces
 from torchrefrac.sfm.triangulate import triangulate
@@ -62,13 +65,24 @@ def with_meeting_points(scene: Scene, wanted: Bool[Tensor, " n"]) -> Scene:
 
 
 def surveyed(scene: Scene, stated: Survey, used: Survey) -> Surveyed:
-    """What became of a survey, of which `used` took part, in the scene, whose last points are its control points."""
+    """What became of a survey, of which `used` took part, in the scene, whose last points are its control points; its
+    assessment, if it has one, is of all its points."""
     ties, control = len(scene.points) - len(stated.control_names), of_control(scene, stated)
     met = with_meeting_points(scene, torch.arange(len(scene.points)) >= ties)
     ids = ties + stated.known_control
     off = torch.where(met.placed[ids, None], met.points[ids] - stated.known_position, 0.0)
-    where = scene.points[ties:], scene.placed[ties:]
-    return Surveyed(stated, used, *where, off, control.distance, control.deviations)
+    where = scene.points[ties:], scene.placed[ties:], met.placed[ties:], _deviations(scene)[ties:]
+    check = ties + stated.check_control
+    check_off = torch.where(met.placed[check, None], met.points[check] - stated.check_position, 0.0)
+    return Surveyed(stated, used, *where, off, control.distance, control.deviations, check_off)
+
+
+def _deviations(scene: Scene) -> Float[Tensor, "n 3"]:
+    """Of all points along the axes; infinite where nothing is known."""
+    covariance = scene.assessment.point_covariance
+    if covariance is None:
+        return torch.full_like(scene.points, torch.inf)
+    return covariance.diagonal(dim1=-2, dim2=-1).clamp(min=0.0).sqrt()
 
 
 def without_contradicted(scene: Scene, survey: Survey) -> Survey:
@@ -76,9 +90,11 @@ def without_contradicted(scene: Scene, survey: Survey) -> Survey:
 
     scene: as images have it, with all ground control points; its frame does not count. Positions of cameras and control
     are aligned with those stated by a similarity. The one without which the others agree best is left out where it is
-    too far off their alignment, and so on with these as long as most stay.
+    too far off their alignment, and so on with these as long as most stay. What clicks leave open of where a control
+    point is counts as well.
     """
     places = StatedPlaces.of(scene, survey)
+    places = places.blurred(torch.cat((torch.zeros_like(survey.center_information), _left_by_clicks(scene, survey))))
     found, stated, known = places.found, places.stated, places.known
     accepted, least = known.clone(), max(FEWEST, (int(known.sum()) + 2) // 2)
 
@@ -99,6 +115,20 @@ def without_contradicted(scene: Scene, survey: Survey) -> Survey:
         accepted = fewer
     out = known & ~accepted
     return survey.without(out[: places.cameras], out[places.cameras :]) if bool(out.any()) else survey
+
+
+def _left_by_clicks(scene: Scene, survey: Survey) -> Float[Tensor, "p 3 3"]:
+    """Covariances of where control points with known positions are by their pixels alone; zero where these do not say
+    it."""
+    ids = len(scene.points) - len(survey.control_names) + survey.known_control
+    wanted = torch.zeros_like(scene.placed).index_fill(0, ids, True)
+    rows = scene.views.registered[scene.observations.view] & wanted[scene.observations.point]
+    covariance = scene.points.new_zeros(len(scene.points), 3, 3)
+    if bool(rows.any()):
+        tracks = Tracks.of(scene, rows.nonzero()[:, 0])
+        seen = tracks.cameras, tracks.pixels, tracks.slot
+        covariance[tracks.ids] = refine_points(*seen, scene.points[tracks.ids], CLICK).covariance
+    return covariance[ids]
 
 
 def _disagreement(error: Float[Tensor, "k 3"], information: Float[Tensor, "k 3 3"]) -> Disagreement:

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrefrac.bundle import BundleOptions, Term, UnadjustableError, check_inputs
 from torchrefrac.recorder import Advance, Recorder, SilentRecorder
 from torchrefrac.scene import Assessment, Part, Scene, Survey
-from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess
+from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess, with_height
 from torchrefrac.sfm.control import check_vertical, survey_terms, with_control
 from torchrefrac.sfm.dry_points import find_dry, with_dry
 from torchrefrac.sfm.filter_points import filter_points
@@ -35,8 +35,8 @@ def readjust(
     adjustment, in which large errors count little, takes in everything and leaves index ratio and intrinsics. Then
     observations that do not fit are dropped, points that could not be placed are tried again, and everything is
     adjusted, up to `options.rounds` times. Stated positions, of cameras and ground control, that most others contradict
-    are left out; the outcome has the survey that was used. What nothing fixes of the frame stays
-    as near to the given one as the data allow.
+    are left out; the outcome has the survey that was used. Where it states levels, the heights of interfaces vary. What
+    nothing fixes of the frame stays as near to the given one as the data allow.
 
     The ground control points of the survey are the last points of the result (placed where they fit); views and
     points that do not fit the rest are still in it, not registered and not placed. The numbers of the outcome are
@@ -47,6 +47,8 @@ def readjust(
     """
     stated = survey or Survey.empty(scene.views.names)
     options, recorder = options or ReadjustOptions(), recorder or SilentRecorder()
+    if stated.level_sources:
+        options = replace(options, bundle=with_height(options.bundle))
     with recorder.meter(1, "placing", "") as advance:
         work = Work(scene, _most_positions(scene, stated, options), options, recorder)
         first = work.start(scene)

@@ -1,7 +1,7 @@
 """Where a survey states that cameras and ground control points are, beside where a scene has them; and the similarity
 between the two."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -80,6 +80,10 @@ class StatedPlaces:
         """Of what is stated."""
         return torch.linalg.inv(self.information)
 
+    def blurred(self, covariance: Float[Tensor, "k 3 3"]) -> "StatedPlaces":
+        """With what is not known of the places found, besides, as if it was not known of those stated."""
+        return replace(self, information=torch.linalg.inv(self.covariance + covariance))
+
     def deviations(self, change: Similarity | None = None) -> Float[Tensor, " k"]:
         """How far what was found, in the frame to which a similarity takes it, is from what was stated, in standard
         deviations of that."""
@@ -134,15 +138,24 @@ class StatedPlaces:
         apart = torch.where(control, self.deviations(first), self.deviations(second))
         if float(apart.log1p().mean()) > float(before.log1p().mean()) - 1.0:
             return None
-        ratio = float(second.scale / first.scale)
-        far = float((first.apply(self.found) - second.apply(self.found)).norm(dim=-1).median())
+        told = self._of_two_frames(first, second)
+        return Mistake(f"{told}: give both in one", False) if told else None
+
+    def _of_two_frames(self, first: Similarity, second: Similarity) -> str:
+        """What differs between the frames of ground control and of cameras, to which the two similarities lead; empty
+        where it is nothing that people mistake."""
+        control, ratio = self.of_control, float(second.scale / first.scale)
+        between = first.apply(self.found) - second.apply(self.found)
+        far, aside = float(between.norm(dim=-1).median()), float(between[:, :2].norm(dim=-1).median())
+        above = float(between[:, 2].median().abs())
+        places = "position of marks and center of images in the survey are in"
         if max(ratio, 1.0 / ratio) > OTHER_UNIT:
-            what = f"in units that differ by a factor of {max(ratio, 1.0 / ratio):.4g}"
-        elif far > _spread(self.stated[control]) + _spread(self.stated[~control]):
-            what = f"in frames that are {far:.4g} apart"
-        else:
-            return None
-        return Mistake(f"position of marks and center of images in the survey are {what}: give both in one", False)
+            return f"{places} units that differ by a factor of {max(ratio, 1.0 / ratio):.4g}"
+        if above > CLEAR * aside:
+            return f"heights of marks and of images count from levels that are {above:.4g} apart, as of two datums"
+        if far > _spread(self.stated[control]) + _spread(self.stated[~control]):
+            return f"{places} frames that are {far:.4g} apart"
+        return ""
 
     def _left(self, level: Float[Tensor, "3 3"] | None) -> Float[Tensor, " k"]:
         """Deviations after the best similarity; infinite where there is none."""

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrefrac.bundle import Term
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Capture, Part, Scene, Survey, Surveyed
-from torchrefrac.sfm.control import survey_terms, with_control
+from torchrefrac.sfm.control import CLICK, survey_terms, with_control
 from torchrefrac.sfm.frame import fix_frame, mean_level, transformed
 from torchrefrac.sfm.positions import surveyed, with_meeting_points, without_contradicted
 from torchrefrac.sfm.stated_places import StatedPlaces
@@ -48,8 +48,13 @@ class SurveyFrame:
         length[self.ties :] = 2
         return length.index_fill(0, self.ties + self.used.known_control, 1)
 
+    def with_levels(self, sources: Bool[Tensor, " s"]) -> "SurveyFrame":
+        """The same with the levels that some of the sources state."""
+        return replace(self, used=self.used.with_levels(self.stated.of_levels(sources)))
+
     def parted(self, scene: Scene) -> tuple[Scene, Surveyed]:
-        """The scene without its ground control points, and what became of the survey."""
+        """The scene without its ground control points, and what became of the survey; its assessment is of all its
+        points."""
         tied, ties = scene.observations.point < self.ties, torch.arange(self.ties)
         tied_scene = replace(
             scene,
@@ -63,7 +68,9 @@ class SurveyFrame:
         return tied_scene, replace(surveyed(scene, self.stated, self.used), mistake=self.mistake)
 
 
-def placed_by_survey(scene: Scene, capture: Capture, survey: Survey) -> tuple[Scene, SurveyFrame] | None:
+def placed_by_survey(
+    scene: Scene, capture: Capture, survey: Survey, pixel_sigma: float = CLICK
+) -> tuple[Scene, SurveyFrame] | None:
     """The scene in the frame of the positions of a survey, with its ground control points as the last points; in it the
     water stays the plane z = 0. Where only scale bars are known, or points on the waterline, it stays where it is, but
     has their unit.
@@ -71,10 +78,11 @@ def placed_by_survey(scene: Scene, capture: Capture, survey: Survey) -> tuple[Sc
     None where nothing is known of that, or too few positions that lie too close together for their errors. Through
     water the vertical of the scene counts, and without refraction that of the gravity measured: heading, scale and
     place follow from a horizontal similarity, whichever few positions are wrong, and the height from the mean.
+    pixel_sigma: of keypoints, as the images show it.
     """
     ties, refractive = len(scene.points), scene.index_ratio > 1.0
-    survey = survey if refractive else survey.without_waterline()
-    every = with_control(scene, survey)
+    survey = survey if refractive else survey.without_water()
+    every = with_control(scene, survey, pixel_sigma)
     every = with_meeting_points(every, torch.arange(len(every.points)) >= ties) if len(survey.control_names) else every
     level = torch.eye(3, dtype=torch.float64) if refractive else mean_level(scene, capture)
     places = StatedPlaces.of(every, survey)
@@ -91,7 +99,7 @@ def placed_by_survey(scene: Scene, capture: Capture, survey: Survey) -> tuple[Sc
     lowered = survey.lowered(height)
     shift = change.translation - change.translation.new_tensor((0.0, 0.0, height))
     every = transformed(every, replace(change, translation=shift))
-    frame = SurveyFrame(lowered, without_contradicted(every, lowered), ties, height, why)
+    frame = SurveyFrame(lowered, without_contradicted(every, lowered).without_levels(), ties, height, why)
     return _with_known(every, frame), frame
 
 
@@ -102,7 +110,7 @@ def _scaled(
     if len(survey.known_control) and not mistake:
         mistake = f"positions of the survey do not say where the scene is: give {FEWEST} or more that are apart"
     survey = survey.without(*_all_positions(survey, cameras=True))
-    if not (mistake or len(survey.bar_length) or len(survey.waterline_control)):
+    if not (mistake or len(survey.bar_length) or len(survey.waterline_control) or survey.level_sources):
         return None
     scene = fix_frame(scene, capture)
     apart = (scene.points[ties + survey.bar_to] - scene.points[ties + survey.bar_from]).norm(dim=-1)
@@ -110,7 +118,7 @@ def _scaled(
     if bool(known.any()):
         scale = (survey.bar_length / apart)[known].median()
         scene = transformed(scene, Similarity(scale, torch.eye(3).to(scale), scale.new_zeros(3)))
-    return scene, SurveyFrame(survey, survey, ties, None, mistake)
+    return scene, SurveyFrame(survey, survey.without_levels(), ties, None, mistake)
 
 
 def _all_positions(survey: Survey, cameras: bool) -> tuple[Bool[Tensor, " c"], Bool[Tensor, " p"]]:

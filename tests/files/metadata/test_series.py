@@ -13,7 +13,7 @@ from torchrefrac.files.metadata.lens import Lens
 from torchrefrac.files.metadata.listing import common_folder, list_photographs
 from torchrefrac.files.metadata.photograph import read_photograph
 from torchrefrac.files.metadata.quality import look_at, useless
-from torchrefrac.files.metadata.times import odd_times
+from torchrefrac.files.metadata.times import epochs_of, odd_times
 from torchrefrac.scene import CaptureError
 
 
@@ -116,6 +116,14 @@ def test_clocks_that_jump_are_told(times, words):
     assert len(notes) == (words is not None)
     if words is not None:
         assert re.search(words, notes[0])
+
+
+def test_epochs_begin_after_hours_without_photographs():
+    times = ["2024:05:17 11:02:33", "2024:05:17 12:00:00", "", "2024:05:18 09:30:00", "2024:05:17 12:30:00"]
+
+    morning, later = "2024-05-17 11:02", "2024-05-18 09:30"
+    assert epochs_of(times, 6.0) == [morning, morning, morning, later, morning]
+    assert epochs_of(times, 48.0) == epochs_of(["", ""], 6.0) == []
 
 
 @pytest.fixture

@@ -19,11 +19,13 @@ BAROMETER_SIGMA = 0.5  # m; of a height above the place of the take-off, with th
 
 @dataclass(frozen=True)
 class Water:
-    """The water's altitude, or the height of the place of the take-off above it, in m, where one is known."""
+    """The water's altitude, or the height of the place of the take-off above it, in m, where one is known;
+    and the epoch of each photograph, where the water stood differently."""
 
     index_ratio: float
     level: float | None = None
     take_off_above: float | None = None
+    epochs: Sequence[str] = ()
 
 
 def capture_content(
@@ -56,6 +58,8 @@ def capture_content(
                 image["down_in_cam_sigma_deg"] = one.attitude.sigma_deg
             if one.attitude.heading_deg is not None:
                 image["heading_deg"] = _rounded((one.attitude.heading_deg + placement.north_deg[i]) % 360.0)
+        if water.epochs:
+            image["epoch"] = water.epochs[i]
         height, height_sigma = _height(one, placement.vertical, water)
         if height is not None:
             image["height"] = _rounded(height)

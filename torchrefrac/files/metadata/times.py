@@ -22,9 +22,23 @@ def odd_times(times: Sequence[str], names: Sequence[str]) -> list[str]:
             break
     days = (max(known)[0] - min(known)[0]).days if known else 0
     if days >= MOST_DAYS:
-        remedy = "where the water rose or fell meanwhile, import each day apart"
+        remedy = "where the water rose or fell meanwhile, epoch_gap_hours=6 tells the days apart"
         notes.append(f"the photographs were taken over {days} days; {remedy}")
     return notes
+
+
+def epochs_of(times: Sequence[str], gap_hours: float) -> list[str]:
+    """The epoch of each photograph, by the time of its first one, where so many hours lie between them. One without a
+    time is of the epoch of the one before it; none are of any where there is one epoch."""
+    known = sorted({time for time in map(_parsed, times) if time is not None})
+    first = [after for before, after in pairwise(known) if after - before > timedelta(hours=gap_hours)]
+    if not first:
+        return []
+    starts, found, last = [known[0], *first], [], known[0]
+    for time in map(_parsed, times):
+        last = last if time is None else max(start for start in starts if start <= time)
+        found.append(f"{last:%Y-%m-%d %H:%M}")
+    return found
 
 
 def _parsed(time: str) -> datetime | None:
