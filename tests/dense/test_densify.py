@@ -208,11 +208,35 @@ def test_without_sparse_points_it_says_that_they_are_missing(slope, tmp_path):
         densify(replace(bare, capture=write_capture(slope, tmp_path)), OPTIONS["patch"])
 
 
-def test_a_scene_with_several_interfaces_is_refused(slope, tmp_path):
-    two = Interfaces(*(torch.cat((part, part)) for part in vars(Interfaces.level(1.33)).values()))
+def test_photographs_of_two_levels_of_the_water_show_one_surface(slope, tmp_path):
+    """The second one was taken when the water stood higher: taken for that of the others it would bend the slope."""
+    rise = torch.tensor((0.0, 0.0, 3.0), dtype=torch.float64)
+    low = tuple((torch.tensor(SLOPE.point, dtype=torch.float64) - rise).tolist())
+    lower = replace(slope.cameras, center_in_world=slope.cameras.center_in_world - rise)
+    plain = marble()
+    later = render([Board(low, SLOPE.normal)], lower, lambda points: plain(points + rise.numpy()), 1.33)
+    images = slope.images.clone()
+    images[1] = later.images[1]
+    scene = photographed_scene(replace(slope, images=images), tmp_path)
+    of_later = scene.observations.view == 1
+    pixels = scene.observations.pixels.clone()
+    pixels[of_later] = lower[1].project(scene.points[scene.observations.point[of_later]] - rise)[0]
+    levels = Interfaces(*(torch.cat((part, part)) for part in vars(Interfaces.level(1.33)).values()))
+    levels = replace(levels, offset=torch.tensor((0.0, 3.0), dtype=torch.float64))
+    seen = replace(scene.observations, pixels=pixels)
+    two = replace(
+        scene,
+        interfaces=levels,
+        views=replace(scene.views, interface=torch.tensor((0, 1, 0))),
+        observations=seen,
+    )
 
-    with pytest.raises(DenseError, match="the scene has 2 interfaces, but must have one"):
-        densify(replace(sparse_scene(slope), interfaces=two, capture=write_capture(slope, tmp_path)))
+    found = densify(two, OPTIONS["patch"]).cloud
+    mistaken = densify(replace(two, interfaces=Interfaces.level(1.33), views=scene.views), OPTIONS["patch"]).cloud
+
+    assert len(found) > 800
+    assert float(_heights(found.points).abs().median()) < 0.1 * FOOTPRINT
+    assert float(_heights(mistaken.points).abs().median()) > 3.0 * float(_heights(found.points).abs().median())
 
 
 def test_identical_views_are_refused(slope, tmp_path):

@@ -15,7 +15,7 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.commands.survey_products import require_place
-from torchrefrac.config import OptionError, Options
+from torchrefrac.config import Options
 from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.evaluate.doubts import doubts
 from torchrefrac.evaluate.metrics import evaluate_run
@@ -151,11 +151,6 @@ def run(
     """
     survey = survey_of(capture, options)
     require_place(options.outputs, capture.georeference or survey.georeference)
-    if len(capture.epochs) > 1 and options.dense.method != "none":
-        raise OptionError(
-            f"dense.method is {options.dense.method!r}, but the photographs are of {len(capture.epochs)} epochs, whose "
-            "water the dense stage does not know yet: set dense=none"
-        )
     files, pictures = RunFolder(folder), StagePictures(capture, recorder)
     gravity = with_measured(capture, survey).gravity_metrics
 

@@ -45,15 +45,12 @@ def densify(
 
     The scene must have its points and observations, which say where to look, and its `capture`, the photographs.
     Textureless areas stay empty. What lies outside the water is looked for straight, see `media_of`.
-    Deterministic. Finished views go to `store`. Raises DenseError when no two views can be compared, or there are
-    several interfaces, CaptureError for an image or a mask that is missing or has another size, ValueError
-    for the method none.
+    Deterministic. Finished views go to `store`. Raises DenseError when no two views can be compared,
+    CaptureError for an image or a mask that is missing or has another size, ValueError for the method none.
     """
     options = options or DenseOptions(method="patch")
     if options.method not in METHODS:
         raise ValueError(f"method is {options.method!r}, but must be {' or '.join(map(repr, METHODS))}")
-    if len(scene.interfaces) != 1:
-        raise DenseError(f"the scene has {len(scene.interfaces)} interfaces, but must have one")
     recorder, capture, store = recorder or SilentRecorder(), photographs(scene), store or NoStore()
     media, parts = media_of(scene), [Patches.empty(options.views) for _ in range(2)]
     pictures = [Images(capture, where=medium.where) for medium in media]

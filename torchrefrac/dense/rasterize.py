@@ -99,13 +99,13 @@ def grid_of(points: Points, cell_size: float | None = None) -> tuple[RasterGrid,
     """
     if cell_size is not None and not 0.0 < cell_size < math.inf:
         raise ValueError(f"cell_size is {cell_size:g}, but must be a length above 0")
-    plane, near = [torch.zeros(0, 2, dtype=torch.float64)], [torch.zeros(0, dtype=torch.bool)]
+    xy, known, start = torch.empty(len(points), 2, dtype=torch.float64), torch.empty(len(points), dtype=torch.bool), 0
     for some in in_chunks(points):
-        plane.append(some.points[:, :2])
-        near.append(some.points.isfinite().all(dim=-1) & some.sigma.isfinite())
-    xy, known = torch.cat(plane), torch.cat(near)
-    del plane, near
-    known &= _near(xy, known)
+        rows = slice(start, start + len(some))
+        xy[rows] = some.points[:, :2]
+        known[rows] = some.points.isfinite().all(dim=-1) & some.sigma.isfinite()
+        start += len(some)
+    known = _near(xy, known)
     if cell_size is None:
         spacing = point_spacing(xy[known])
         cell_size = float(f"{CELLS_A_SPACING * spacing:.2g}") if spacing > 0.0 else 1.0

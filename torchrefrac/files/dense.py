@@ -1,5 +1,6 @@
 """Files of a dense reconstruction: its points as PLY, what each image sees as a NumPy archive."""
 
+import mmap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -69,7 +70,11 @@ class DenseFile:
         return len(self._vertices)
 
     def __getitem__(self, rows: Int[Tensor, " k"]) -> DenseCloud:
-        return _cloud(self._vertices[rows.numpy()], self.length_unit)
+        cloud = _cloud(self._vertices[rows.numpy()], self.length_unit)
+        pages = getattr(self._vertices, "_mmap", None)
+        if pages is not None and hasattr(mmap, "MADV_DONTNEED"):
+            pages.madvise(mmap.MADV_DONTNEED)  # else what was read of the file counts as memory of the process
+        return cloud
 
 
 def _unit(vertices: Shaped[np.ndarray, " n"], comments: Sequence[str], path: Path) -> str:
