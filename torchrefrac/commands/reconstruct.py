@@ -15,9 +15,10 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.commands.survey_products import require_place
-from torchrefrac.config import Options
+from torchrefrac.config import Options, WaterOptions
 from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.evaluate.doubts import doubts
+from torchrefrac.evaluate.land import land_difference
 from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.evaluate.survey_consistency import position_contradictions
 from torchrefrac.evaluate.survey_metrics import survey_metrics
@@ -168,6 +169,10 @@ def run(
             advance(1, "")
             files.complete(scene, metrics, truth, alignment)
             advance(1, "")
+        if options.compare_land and scene.interfaces.refract():
+            recorder.note("the same without refraction, to compare the land")
+            in_air = replace(options, water=WaterOptions(index_ratio=1.0))
+            files.metrics |= land_difference(scene, reconstruct(capture, in_air, recorder, survey=survey))
         if options.dense.method != "none":
             dense_stage(files, scene, options.dense, options.outputs, truth, alignment, recorder)
     return files.metrics

@@ -115,7 +115,8 @@ class Options:
     """Everything that decides how a capture is reconstructed, and what is written of its dense surface.
 
     survey: path of a survey.json, a gcp_list.txt or a table of control points; None: the survey.json beside the
-    capture.json, if there is one.
+    capture.json, if there is one. compare_land: whether the photographs are reconstructed without refraction, too, to
+    say how far land differs.
     """
 
     model: ModelOptions = field(default_factory=ModelOptions)
@@ -126,6 +127,7 @@ class Options:
     dense: DenseOptions = field(default_factory=DenseOptions)
     outputs: DenseOutputs = field(default_factory=DenseOutputs)
     survey: str | None = None
+    compare_land: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:

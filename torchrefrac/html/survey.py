@@ -24,6 +24,10 @@ def survey_facts(run: RunContents) -> list[tuple[str, str]]:
     level = number(f"water_level_{unit}")
     if level is not None:
         found.append(("level of the water", f"{with_sigma(level, number(f'water_level_sigma_{unit}'))} {unit}"))
+    land, rise = number(f"land_difference_median_{unit}"), number(f"land_rise_median_{unit}")
+    if land is not None and rise is not None:
+        words = f"{rounded(land)} {unit} in the median, {rounded(rise)} {unit} in height"
+        found.append(("land, against a reconstruction without refraction", words))
     area, gsd = number(f"bed_area_{unit}2"), number(f"gsd_{unit}")
     if area is not None:
         found.append(("area of the bed", f"{rounded(area, 3)} {unit}²"))

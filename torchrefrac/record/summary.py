@@ -109,16 +109,24 @@ def reconstruction_lines(metrics: Mapping[str, Any]) -> list[str]:
 
 def survey_lines(metrics: Mapping[str, Any]) -> list[str]:
     """Of the bed on the map, from the metrics of a run; none where it was not put there."""
+    land = next((key for key in metrics if key.startswith("land_difference_median_")), None)
+    lines = []
+    if land is not None:
+        unit = land.removeprefix("land_difference_median_")
+        lines.append(
+            f"land: {metrics['land_points_compared']} points, {metrics[land]:.2g} {unit} (median) from where they are "
+            f"without refraction, {metrics[f'land_rise_median_{unit}']:+.2g} {unit} in height"
+        )
     key = next((key for key in metrics if key.startswith("bed_sigma_median_")), None)
     if key is None:
-        return []
+        return lines
     unit = key.removeprefix("bed_sigma_median_")
     line = (
         f"bed: {metrics[f'bed_area_{unit}2']:.4g} {unit}^2, depth {metrics[f'depth_median_{unit}']:.3g} {unit} "
         f"(median), standard deviation of heights {metrics[key]:.2g} {unit} (median)"
     )
     orders = [f"{name} {metrics[f's44_{name}_percent']:g} %" for name in ORDERS if f"s44_{name}_percent" in metrics]
-    return [line + (f"; S-44: {', '.join(orders)}" if orders else "")]
+    return [*lines, line + (f"; S-44: {', '.join(orders)}" if orders else "")]
 
 
 def warning_lines(metrics: Mapping[str, Any]) -> list[str]:

@@ -109,7 +109,11 @@ def essential_pose(
 ) -> tuple[Float[Tensor, "3 3"], Float[Tensor, "3"], Bool[Tensor, " k"]] | None:
     """Relative rotation, direction of the translation and consensus of OpenCV's essential matrix."""
     one, two, ideal = plane1.numpy(), plane2.numpy(), np.eye(3)
-    found: Any = cv2.findEssentialMat(one, two, ideal, method, confidence, threshold)
+    found: Any
+    try:
+        found = cv2.findEssentialMat(one, two, ideal, method, confidence, threshold)
+    except cv2.error:  # see `fundamental_consensus`
+        found = cv2.findEssentialMat(one, two, ideal, cv2.RANSAC, confidence, threshold)
     essential, mask = found
     if essential is None or essential.shape != (3, 3):
         return None
@@ -123,11 +127,19 @@ def essential_pose(
 def fundamental_consensus(
     pixels1: Float[Tensor, "n 2"], pixels2: Float[Tensor, "n 2"], max_error: float
 ) -> Int[Tensor, " k"]:
-    """Which matches agree within max_error pixels on an epipolar geometry, of lenses that nobody knows."""
+    """Which matches agree within max_error pixels on an epipolar geometry, of lenses that nobody knows.
+
+    OpenCV's newer estimators end in an error where the polished model of their last step comes out empty; its plain
+    RANSAC then decides.
+    """
     if len(pixels1) < MIN_ESSENTIAL:
         return torch.zeros(0, dtype=torch.long)
     both = pixels1.numpy(), pixels2.numpy()
-    found: Any = cv2.findFundamentalMat(*both, cv2.USAC_DEFAULT, max_error, 0.999, 10_000)
+    found: Any
+    try:
+        found = cv2.findFundamentalMat(*both, cv2.USAC_DEFAULT, max_error, 0.999, 10_000)
+    except cv2.error:
+        found = cv2.findFundamentalMat(*both, cv2.FM_RANSAC, max_error, 0.999, 10_000)
     _, mask = found
     return torch.zeros(0, dtype=torch.long) if mask is None else torch.from_numpy(mask[:, 0] > 0).nonzero()[:, 0]
 
