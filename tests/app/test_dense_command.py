@@ -548,6 +548,11 @@ def test_a_wrong_option_is_named(values, sentence):
         build(Options, {"dense": values})
 
 
+def test_files_of_a_surface_without_a_dense_stage_are_refused():
+    with pytest.raises(OptionError, match=r"dense\.method is .none., but outputs\.geotiff, laz and contours are"):
+        build(Options, {"outputs": {"contours": 0.5}})
+
+
 def test_a_reference_system_without_a_geotiff_is_refused():
     with pytest.raises(OptionError, match=r"outputs\.crs is 'EPSG:32633', but no file has one"):
         build(Options, {"outputs": {"crs": "EPSG:32633"}})

@@ -110,5 +110,8 @@ def test_a_reference_system_must_be_the_one_that_positions_are_in():
     require_place(DenseOutputs(geotiff=True, crs="EPSG:32633+5773"), replace(PLACE, vertical="EPSG:5773"))
     with pytest.raises(OptionError, match=r"in EPSG:32633; import the photographs with crs=EPSG:25833"):
         require_place(DenseOutputs(geotiff=True, crs="EPSG:25833"), PLACE)
+    for crs, problem in (("EPSG:4326", "has no axes in metres"), ("EPSG:99999", "is not known to pyproj")):
+        with pytest.raises(OptionError, match=f"georeference: crs '{crs}' {problem}"):
+            require_place(DenseOutputs(laz=True), replace(PLACE, crs=crs))
     with pytest.raises(OptionError, match="does not say where its frame stands"):
         require_place(DenseOutputs(geotiff=True, crs="EPSG:25833"), None)

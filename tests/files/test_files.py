@@ -61,7 +61,7 @@ def scene(draw):
 
 def test_where_the_frame_stands_survives_the_file(tmp_path, scene):
     place = Georeference("EPSG:32633", (412345.0, 5312345.0, 431.25), "EPSG:5773", 0.9996267853446436)
-    write_cameras(replace(scene, georeference=place), tmp_path / "cameras.json")
+    write_cameras(replace(scene, georeference=place, length_unit="m"), tmp_path / "cameras.json")
     assert read_cameras(tmp_path / "cameras.json").georeference == place
 
 

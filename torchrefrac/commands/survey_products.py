@@ -18,8 +18,9 @@ from torchrefrac.dense.relief import hillshade
 from torchrefrac.dense.tiles import Tile, count_tiles, raster_tiles
 from torchrefrac.evaluate.survey_orders import BedStatistics, vertical_uncertainty
 from torchrefrac.files.contours import write_contours
-from torchrefrac.files.geotiff import BandFile, Place, band_file, color_file
+from torchrefrac.files.geotiff import BandFile, Place, band_file, color_file, require_geotiff
 from torchrefrac.files.las import Extra, LasPoints, PointClass, extent_of, write_las
+from torchrefrac.files.metadata.local_frame import Grid
 from torchrefrac.files.run import CONTOURS, DENSE_LAZ, POINTS_LAZ, RASTERS
 from torchrefrac.numerics import thin
 from torchrefrac.recorder import Recorder
@@ -31,7 +32,14 @@ UNPLACED = Georeference("", (0.0, 0.0, 0.0))
 
 def require_place(outputs: DenseOutputs, place: Georeference | None) -> None:
     """Raise OptionError where a reference system is wanted that the scene is not placed in: it would be stamped on
-    coordinates of another frame."""
+    coordinates of another frame; or where files of a survey are wanted in a system that is not known, or has no axes in
+    metres."""
+    if outputs.for_surveys and place is not None:
+        try:
+            Grid(place.crs)
+            require_geotiff(place.name)
+        except ValueError as error:
+            raise OptionError(f"georeference: {error}") from None
     if outputs.crs is None or (place is not None and _same(outputs.crs, place)):
         return
     if place is None:

@@ -132,6 +132,11 @@ class Options:
 
     def __post_init__(self) -> None:
         require_ranges(self, {"seed": SEED})
+        if self.outputs.for_surveys and self.dense.method == "none":
+            raise OptionError(
+                "dense.method is 'none', but outputs.geotiff, laz and contours are made of the dense surface: set "
+                "dense=patch, or make the run dense later"
+            )
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,12 @@ MOST_STRETCHED = 10.0  # of any map, as that of Mercator far in the north
 
 
 def read_georeference(top: Fields) -> Georeference | None:
-    """That of a file; None where it has none. Raises what reading its fields raises."""
+    """That of a file; None where it has none. Raises what reading its fields raises, also where lengths of the file are
+    not in metres, as those of a map are."""
     if GEOREFERENCE not in top:
         return None
+    if top.length_unit() != "m":
+        raise top.fail("length_unit", f"is {top.length_unit()!r}, but must be 'm' where there is a {GEOREFERENCE}")
     fields = top.object(GEOREFERENCE)
     fields.only("crs", "origin", "vertical", "scale")
     east, north, up = fields.position("origin")
