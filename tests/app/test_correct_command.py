@@ -265,7 +265,7 @@ def test_tables_are_on_the_map_where_the_run_says_where_it_stands(torchrefrac, s
     path = tmp_path / "run" / "cameras.json"
     content = json.loads(path.read_text())
     place = {"crs": "EPSG:32633", "origin": [512_000.0, 5_123_000.0, 400.25], "scale": 0.9996}
-    path.write_text(json.dumps(content | {"georeference": place}))
+    path.write_text(json.dumps(content | {"georeference": place, "length_unit": "m"}))
     center = read_cameras(path).views.center
 
     found = read_viewpoints(exported(torchrefrac, tmp_path, "run", "opk") / "cameras_opk.txt")
