@@ -2,7 +2,7 @@
 
 import torch
 
-from torchrefrac.numerics import components, equal_before, first_equal, first_of_each
+from torchrefrac.numerics import components, counted_in_runs, equal_before, first_equal, first_of_each
 
 
 def test_nodes_hang_together_along_edges_in_both_directions_and_lone_ones_by_themselves():
@@ -29,3 +29,8 @@ def test_equal_rows_are_found_whatever_lies_between(draw):
     assert first_equal(rows).tolist() == [0, 1, 0, 3, 1, 5]
     assert equal_before(rows).tolist() == [0, 0, 1, 0, 1, 0]
     assert equal_before(rows[:0]).tolist() == []
+
+
+def test_each_run_is_counted_from_nought():
+    assert counted_in_runs(torch.tensor([3, 0, 1, 2])).tolist() == [0, 1, 2, 0, 0, 1]
+    assert counted_in_runs(torch.zeros(0, dtype=torch.long)).tolist() == []

@@ -21,6 +21,7 @@ from rasterio.windows import Window
 
 from torchrefrac.commands.survey_products import write_rasters
 from torchrefrac.config import DenseOutputs
+from torchrefrac.dense.rasterize import grid_of
 from torchrefrac.files.dense import DenseFile
 from torchrefrac.record.recorders import run_recorders
 from torchrefrac.scene import Georeference
@@ -90,7 +91,9 @@ def _rasters(folder: Path, queue: Any) -> None:
     start = time.perf_counter()
     with run_recorders(folder, quiet=False, about={}, expected=()) as recorder:
         outputs = DenseOutputs(geotiff=True, raster_cell=CELL)
-        metrics = write_rasters(DenseFile(folder / "dense.ply"), PLACE, PLACE.crs, outputs, folder, recorder)
+        points = DenseFile(folder / "dense.ply")
+        where = grid_of(points, outputs.raster_cell)
+        metrics = write_rasters(points, *where, PLACE, PLACE.crs, outputs, folder, recorder)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     queue.put((time.perf_counter() - start, peak, metrics))
 

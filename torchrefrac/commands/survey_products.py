@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.config import DenseOutputs, OptionError
 from torchrefrac.dense.images import Images, photographs
 from torchrefrac.dense.orthophoto import orthophoto
-from torchrefrac.dense.rasterize import SAMPLE, Points, grid_of, in_chunks, raster_of
+from torchrefrac.dense.rasterize import SAMPLE, Points, grid_of, in_chunks, raster_in_grid
 from torchrefrac.dense.relief import hillshade
 from torchrefrac.dense.tiles import Tile, count_tiles, raster_tiles
 from torchrefrac.evaluate.survey_orders import BedStatistics, vertical_uncertainty
@@ -24,7 +24,7 @@ from torchrefrac.files.metadata.local_frame import Grid
 from torchrefrac.files.run import CONTOURS, DENSE_LAZ, POINTS_LAZ, RASTERS
 from torchrefrac.numerics import thin
 from torchrefrac.recorder import Recorder
-from torchrefrac.scene import DenseCloud, Georeference, Raster, Scene
+from torchrefrac.scene import DenseCloud, Georeference, Raster, RasterGrid, Scene
 
 UNPLACED = Georeference("", (0.0, 0.0, 0.0))
 """Of a scene of which nobody knows where it stands: the numbers in files are those of its own frame."""
@@ -75,9 +75,11 @@ def write_survey_products(
         _write_points(points, scene, place, crs, folder, recorder)
     if not (outputs.geotiff or outputs.contours):
         return {}
-    metrics = write_rasters(OnMap(points, place), place, crs, outputs, folder, recorder)
+    mapped = OnMap(points, place)
+    grid, near = grid_of(mapped, outputs.raster_cell)
+    metrics = write_rasters(mapped, grid, near, place, crs, outputs, folder, recorder)
     if outputs.contours or (outputs.geotiff and outputs.orthophoto):
-        raster = raster_of(OnMap(points, place)[torch.arange(len(points))], outputs.raster_cell)
+        raster = raster_in_grid(mapped, grid, near)
         if outputs.contours:
             write_contours(raster, folder / CONTOURS, outputs.contours, crs)
         if outputs.geotiff and outputs.orthophoto:
@@ -92,6 +94,10 @@ class OnMap:
     points: Points
     place: Georeference
 
+    @property
+    def length_unit(self) -> str:
+        return self.points.length_unit
+
     def __len__(self) -> int:
         return len(self.points)
 
@@ -105,26 +111,30 @@ class OnMap:
 def _write_points(
     points: Points, scene: Scene, place: Georeference, crs: str | None, folder: Path, recorder: Recorder
 ) -> None:
-    extent = extent_of(place.coordinates(cloud.points) for cloud in in_chunks(points))
+    extent = extent_of(place.coordinates(cloud.points) for _, cloud in in_chunks(points))
     ties = tie_points(scene, place)
     with recorder.meter(len(points) + len(ties), "writing LAZ", "point") as advance:
-        parts = (dense_points(cloud, scene, place) for cloud in in_chunks(points))
+        parts = (dense_points(cloud, scene, place) for _, cloud in in_chunks(points))
         write_las(parts, folder / DENSE_LAZ, extent, crs, advance)
         write_las([ties], folder / POINTS_LAZ, extent_of([ties.coordinates]), crs, advance)
 
 
 def write_rasters(
-    points: Points, place: Georeference, crs: str | None, outputs: DenseOutputs, folder: Path, recorder: Recorder
+    points: Points,
+    grid: RasterGrid,
+    near: Bool[Tensor, " n"],
+    place: Georeference,
+    crs: str | None,
+    outputs: DenseOutputs,
+    folder: Path,
+    recorder: Recorder,
 ) -> dict[str, Any]:
     """Write the rasters of a cloud, tile by tile; metrics of its bed, see `BedStatistics`.
 
-    points: a cloud, or a file of one, whose x and y are on the map and z above the water. Raises DenseError for cells
-    that are no length.
+    points: a cloud, or a file of one, whose x and y are on the map and z above the water; grid and near: see `grid_of`.
     """
-    grid, near = grid_of(points, outputs.raster_cell)
-    unit, bed = points[torch.arange(0)].length_unit, BedStatistics(grid.cell_size)
-    corner = (grid.x_west, grid.y_north, grid.cell_size)
-    where = Place(grid.rows, grid.columns, *corner, unit, crs)
+    unit, bed = points.length_unit, BedStatistics(grid.cell_size)
+    where = Place(grid, unit, crs)
     with ExitStack() as open_files:
         files = {
             name: open_files.enter_context(band_file(folder / RASTERS[name], bands, where, of))

@@ -13,7 +13,7 @@ from torchrefrac.camera import RefractiveCamera
 from torchrefrac.dense.images import Images
 from torchrefrac.dense.rays import depth_in
 from torchrefrac.files.photographs import read_color
-from torchrefrac.numerics import thin
+from torchrefrac.numerics import counted_in_runs, thin
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Raster, Scene
 
@@ -40,10 +40,10 @@ def orthophoto(
     recorder = recorder or SilentRecorder()
     views = scene.views.registered.nonzero()[:, 0].tolist()
     fine_surface = _finer(surface, _factor(surface, scene) if fine else 1)
-    cells = _Cells.of(fine_surface)
-    solid = torch.cat((_Cells.of(surface).points, _sides(surface)))
+    cells, coarse = _Cells.of(fine_surface), _Cells.of(surface)
+    solid = torch.cat((coarse.points, _sides(surface)))
     hiding = {view: _hiding(solid, surface.cell_size, scene.camera_of(view)) for view in views}
-    gains = _gains(_Cells.of(surface), scene, images, hiding)
+    gains = _gains(coarse, scene, images, hiding)
     total = torch.zeros(len(cells.points), 4, dtype=torch.float32)
     for view in recorder.track(views, len(views), "orthophoto", "image"):
         colors, weight = _seen(cells, scene.camera_of(view), view, images, hiding[view])
@@ -134,7 +134,7 @@ def _sides(surface: Raster) -> Float[Tensor, "n 3"]:
         row, column = steps.nonzero().unbind(dim=-1)
         count = steps[row, column]
         which = torch.arange(len(row)).repeat_interleave(count)
-        down = torch.arange(len(which)) - (count.cumsum(0) - count).repeat_interleave(count) + 1
+        down = 1 + counted_in_runs(count)
         half = 0.5 * shift * surface.cell_size
         x = surface.x[column] - (half if axis == 1 else 0.0)
         y = surface.y[row] + (half if axis == 0 else 0.0)

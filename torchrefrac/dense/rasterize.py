@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import contextmanager
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchrefrac.dense.densify import DenseError
 from torchrefrac.numerics import segment_sum
-from torchrefrac.scene import DenseCloud, Raster
+from torchrefrac.scene import DenseCloud, Raster, RasterGrid
 
 MOST_CELLS = 50_000_000
 SAMPLE, NEIGHBOURS, CELLS_A_SPACING = 20_000, 8, 1.5
@@ -26,23 +26,38 @@ CHUNK = 1_000_000  # points that are looked at together
 
 
 class Points(Protocol):
-    """A dense cloud, or a file of one: so many points, and those of some rows."""
+    """A dense cloud, or a file of one: so many points, those of some rows, and the unit of their coordinates."""
+
+    @property
+    def length_unit(self) -> str: ...
 
     def __len__(self) -> int: ...
 
     def __getitem__(self, rows: Int[Tensor, " k"]) -> DenseCloud: ...
 
 
-def in_chunks(points: Points) -> Iterator[DenseCloud]:
-    """All of them, a million at a time."""
-    for start in range(0, len(points), CHUNK):
-        yield points[torch.arange(start, min(start + CHUNK, len(points)))]
+def in_chunks(points: Points) -> Iterator[tuple[Int[Tensor, " k"], DenseCloud]]:
+    """All of them, a million at a time, and which these are."""
+    for rows in torch.arange(len(points)).split(CHUNK):
+        yield rows, points[rows]
 
 
 def raster_of(cloud: DenseCloud, cell_size: float | None) -> Raster:
     """`rasterize`, for cells that an option chose. Raises DenseError where they are too small for the extent."""
-    try:
+    with _of_an_option():
         return rasterize(cloud, cell_size)
+
+
+def raster_in_grid(points: Points, grid: RasterGrid, near: Bool[Tensor, " n"]) -> Raster:
+    """`rasterize_in`, likewise."""
+    with _of_an_option():
+        return rasterize_in(points, grid, near)
+
+
+@contextmanager
+def _of_an_option() -> Iterator[None]:
+    try:
+        yield
     except ValueError as error:
         raise DenseError(f"outputs.raster_cell: {error}") from None
 
@@ -65,31 +80,18 @@ def rasterize(cloud: DenseCloud, cell_size: float | None = None) -> Raster:
 
     Raises ValueError where cell_size is not above 0, or so small that the raster would have over 50 million cells.
     """
-    grid, near = grid_of(cloud, cell_size)
+    return rasterize_in(cloud, *grid_of(cloud, cell_size))
+
+
+def rasterize_in(points: Points, grid: RasterGrid, near: Bool[Tensor, " n"]) -> Raster:
+    """The same in a grid and of the points that `grid_of` has found."""
     if grid.rows * grid.columns > MOST_CELLS:
         raise ValueError(
             f"cell_size is {grid.cell_size:g}, but makes {grid.rows} x {grid.columns} cells of a cloud "
-            f"{grid.columns * grid.cell_size:g} x {grid.rows * grid.cell_size:g} {cloud.length_unit} wide; give a "
+            f"{grid.columns * grid.cell_size:g} x {grid.rows * grid.cell_size:g} {points.length_unit} wide; give a "
             f"larger one, for at most {MOST_CELLS} cells"
         )
-    return raster_in(cloud[near], grid)
-
-
-@dataclass(frozen=True)
-class RasterGrid:
-    """Square cells: row 0 is the northernmost, column 0 the westernmost; x_west, y_north: the outer corner of the first
-    cell."""
-
-    rows: int
-    columns: int
-    x_west: float
-    y_north: float
-    cell_size: float
-
-    def part(self, row: int, column: int, rows: int, columns: int) -> "RasterGrid":
-        """So many rows and columns of it, from one cell on, which may lie outside."""
-        x_west, y_north = self.x_west + column * self.cell_size, self.y_north - row * self.cell_size
-        return RasterGrid(rows, columns, x_west, y_north, self.cell_size)
+    return raster_in(points[near.nonzero()[:, 0]], grid)
 
 
 def grid_of(points: Points, cell_size: float | None = None) -> tuple[RasterGrid, Bool[Tensor, " n"]]:
@@ -99,12 +101,10 @@ def grid_of(points: Points, cell_size: float | None = None) -> tuple[RasterGrid,
     """
     if cell_size is not None and not 0.0 < cell_size < math.inf:
         raise ValueError(f"cell_size is {cell_size:g}, but must be a length above 0")
-    xy, known, start = torch.empty(len(points), 2, dtype=torch.float64), torch.empty(len(points), dtype=torch.bool), 0
-    for some in in_chunks(points):
-        rows = slice(start, start + len(some))
+    xy, known = torch.empty(len(points), 2, dtype=torch.float64), torch.empty(len(points), dtype=torch.bool)
+    for rows, some in in_chunks(points):
         xy[rows] = some.points[:, :2]
         known[rows] = some.points.isfinite().all(dim=-1) & some.sigma.isfinite()
-        start += len(some)
     known = _near(xy, known)
     if cell_size is None:
         spacing = point_spacing(xy[known])
@@ -127,8 +127,7 @@ def raster_in(cloud: DenseCloud, grid: RasterGrid, sharpest: float | None = None
     if not grid.rows * grid.columns:
         nothing = torch.zeros(0, dtype=torch.long)
         return _raster(cloud[nothing], nothing, grid, sharpest)
-    row = ((grid.y_north - cloud.points[:, 1]) / grid.cell_size).floor().long().clamp(0, grid.rows - 1)
-    column = ((cloud.points[:, 0] - grid.x_west) / grid.cell_size).floor().long().clamp(0, grid.columns - 1)
+    row, column = grid.cells_of(cloud.points)
     return _raster(cloud, (row + 1) * (grid.columns + 2) + column + 1, grid, sharpest)
 
 

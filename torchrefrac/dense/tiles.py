@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
-from torchrefrac.dense.rasterize import CHUNK, Points, RasterGrid, raster_in, sharpest_of
-from torchrefrac.scene import Raster
+from torchrefrac.dense.rasterize import Points, in_chunks, raster_in, sharpest_of
+from torchrefrac.scene import Raster, RasterGrid
 
 TILE = 1024
 MARGIN = 3
@@ -31,7 +31,13 @@ class Tile:
 
 def count_tiles(grid: RasterGrid) -> int:
     """How many tiles a grid has."""
-    return -(-grid.rows // TILE) * -(-grid.columns // TILE)
+    down, across = _tiled(grid)
+    return down * across
+
+
+def _tiled(grid: RasterGrid) -> tuple[int, int]:
+    """Rows and columns of tiles."""
+    return -(-grid.rows // TILE), -(-grid.columns // TILE)
 
 
 def raster_tiles(points: Points, grid: RasterGrid, near: Bool[Tensor, " n"]) -> Iterator[Tile]:
@@ -42,7 +48,7 @@ def raster_tiles(points: Points, grid: RasterGrid, near: Bool[Tensor, " n"]) -> 
     tile, sigma = _tiles_of(points, grid, near)
     sharpest = sharpest_of(sigma[near])
     del sigma
-    down, across = -(-grid.rows // TILE), -(-grid.columns // TILE)
+    down, across = _tiled(grid)
     order = tile.argsort(stable=True)
     start = torch.searchsorted(tile[order], torch.arange(down * across + 1, dtype=tile.dtype)).tolist()
     del tile
@@ -61,8 +67,7 @@ def raster_tiles(points: Points, grid: RasterGrid, near: Bool[Tensor, " n"]) -> 
 def _raster_of(points: Points, rows: Int[Tensor, " k"], part: RasterGrid, sharpest: float) -> Raster:
     """Of those of some points that lie in a part of the grid."""
     cloud = points[rows.sort().values.long()]
-    row = ((part.y_north - cloud.points[:, 1]) / part.cell_size).floor()
-    column = ((cloud.points[:, 0] - part.x_west) / part.cell_size).floor()
+    row, column = part.steps_of(cloud.points)
     inside = (row >= 0) & (row < part.rows) & (column >= 0) & (column < part.columns)
     return raster_in(cloud[inside], part, sharpest)
 
@@ -71,17 +76,12 @@ def _tiles_of(
     points: Points, grid: RasterGrid, near: Bool[Tensor, " n"]
 ) -> tuple[Int[Tensor, " n"], Float[Tensor, " n"]]:
     """In which tile each point lies, those that do not count in one after the last; and their sigmas."""
-    across, none = -(-grid.columns // TILE), count_tiles(grid)
+    (down, across), none = _tiled(grid), count_tiles(grid)
     tile = torch.full((len(points),), none, dtype=torch.int32)
     sigma = torch.zeros(len(points), dtype=torch.float32)
-    for start in range(0, len(points), CHUNK):
-        rows = torch.arange(start, min(start + CHUNK, len(points)))
-        some = points[rows]
-        row = (
-            ((grid.y_north - some.points[:, 1]) / grid.cell_size / TILE).floor().clamp(0, max(grid.rows - 1, 0) // TILE)
-        )
-        column = ((some.points[:, 0] - grid.x_west) / grid.cell_size / TILE).floor()
-        column = column.clamp(0, max(grid.columns - 1, 0) // TILE)
-        tile[rows] = torch.where(near[rows], row.nan_to_num() * across + column.nan_to_num(), none).int()
+    for rows, some in in_chunks(points):
+        row, column = (step.nan_to_num() // TILE for step in grid.steps_of(some.points))
+        number = row.clamp(0, down - 1) * across + column.clamp(0, across - 1)
+        tile[rows] = torch.where(near[rows], number, none).int()
         sigma[rows] = some.sigma.float()
     return tile, sigma

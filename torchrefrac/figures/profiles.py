@@ -59,10 +59,7 @@ def _profile(name: str, raster: Raster, start: Float[Tensor, " 2"], end: Float[T
     length = float((end - start).norm())
     count = min(max(2, math.ceil(length / raster.cell_size) + 1), MOST_SAMPLES)
     share = torch.linspace(0.0, 1.0, count, dtype=start.dtype)
-    x, y = (start + share[:, None] * (end - start)).unbind(dim=-1)
-    rows, columns = raster.height.shape
-    row = ((raster.y_north - y) / raster.cell_size).floor().long().clamp(0, rows - 1)
-    column = ((x - raster.x_west) / raster.cell_size).floor().long().clamp(0, columns - 1)
+    row, column = raster.grid.cells_of(start + share[:, None] * (end - start))
     valid = raster.valid[row, column]
     height, sigma = (grid[row, column].where(valid, torch.nan) for grid in (raster.height, raster.sigma))
     first, last = ((float(point[0]), float(point[1])) for point in (start, end))

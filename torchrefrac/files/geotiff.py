@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Shaped, UInt8
 from torch import Tensor
 
 from torchrefrac.atomic import passing, replacing
-from torchrefrac.scene.raster import Raster
+from torchrefrac.scene.raster import Raster, RasterGrid
 
 MISSING = "a GeoTIFF needs rasterio, which is not installed: pip install torchrefrac[geo]"
 TILE = 512
@@ -37,22 +37,17 @@ def require_geotiff(crs: str | None = None) -> None:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a raster lies: its size in cells, the outer corner of its first cell, and the side of a cell; the unit of
-    these lengths, and the reference system of x and y, as "EPSG:32633" (None: local coordinates)."""
+    """Where a raster lies: its cells; the unit of their lengths, and the reference system of x and y, as "EPSG:32633"
+    (None: local coordinates)."""
 
-    rows: int
-    columns: int
-    x_west: float
-    y_north: float
-    cell_size: float
+    grid: RasterGrid
     length_unit: str
     crs: str | None = None
 
     @classmethod
     def of(cls, raster: Raster, crs: str | None = None) -> "Place":
         """That of a raster."""
-        rows, columns = raster.height.shape
-        return cls(rows, columns, raster.x_west, raster.y_north, raster.cell_size, raster.length_unit, crs)
+        return cls(raster.grid, raster.length_unit, crs)
 
 
 @dataclass(frozen=True)
@@ -109,12 +104,12 @@ def _writing(
     import rasterio  # type: ignore[import-not-found]  # noqa: PLC0415 - of an extra
     from rasterio.shutil import copy  # type: ignore[import-not-found]  # noqa: PLC0415
 
-    if not place.rows * place.columns:
+    grid = place.grid
+    if not grid.rows * grid.columns:
         raise ValueError(f"the raster for {path} has no cells, but a GeoTIFF must have at least one")
     system = None if place.crs is None else rasterio.CRS.from_user_input(place.crs)
-    size = place.cell_size
-    grid = rasterio.Affine(size, 0.0, place.x_west, 0.0, -size, place.y_north)
-    shape = {"width": place.columns, "height": place.rows, "crs": system, "transform": grid}
+    transform = rasterio.Affine(grid.cell_size, 0.0, grid.x_west, 0.0, -grid.cell_size, grid.y_north)
+    shape = {"width": grid.columns, "height": grid.rows, "crs": system, "transform": transform}
     with replacing(Path(path)) as final, passing(final.with_suffix(".plain.tif")) as plain:
         with rasterio.open(plain, "w", driver="GTiff", **shape, **options, **PLAIN) as file:
             yield BandFile(file)

@@ -32,6 +32,11 @@ def first_equal(rows: Shaped[Tensor, "n k"]) -> Int[Tensor, " n"]:
 def equal_before(rows: Shaped[Tensor, "n k"]) -> Int[Tensor, " n"]:
     """For each row how many of those before it are equal to it."""
     group = torch.unique(rows, dim=0, return_inverse=True)[1]
-    order, count = group.argsort(stable=True), torch.bincount(group)
-    first = (count.cumsum(0) - count).repeat_interleave(count)
-    return torch.empty_like(group).scatter_(0, order, torch.arange(len(group), device=group.device) - first)
+    order = group.argsort(stable=True)
+    return torch.empty_like(group).scatter_(0, order, counted_in_runs(torch.bincount(group)))
+
+
+def counted_in_runs(length: Int[Tensor, " r"]) -> Int[Tensor, " n"]:
+    """0, 1, 2 and so on in each of r runs of these lengths, one run after the other."""
+    first = length.cumsum(dim=0) - length
+    return torch.arange(int(length.sum()), device=length.device) - first.repeat_interleave(length)

@@ -6,7 +6,7 @@ from torchrefrac.scene.extent import WaterExtent
 from torchrefrac.scene.findings import Finding, WarningCode
 from torchrefrac.scene.georeference import Georeference
 from torchrefrac.scene.interfaces import Interfaces
-from torchrefrac.scene.raster import Raster
+from torchrefrac.scene.raster import Raster, RasterGrid
 from torchrefrac.scene.scene import (
     Assessment,
     Part,
@@ -24,8 +24,8 @@ from torchrefrac.scene.water_heights import GridWater, LevelWater, MeshWater, Wa
 
 __all__ = [
     "Assessment", "Cameras", "Capture", "CaptureError", "DenseCloud", "DepthMap", "Finding", "Georeference",
-    "GridWater", "Interfaces", "LevelWater", "MeshWater", "Observations", "Part", "Raster", "Scene", "SceneError",
-    "Survey", "SurveyError", "Surveyed", "Truth", "TruthPoints", "Viewpoints", "Views", "WarningCode",
+    "GridWater", "Interfaces", "LevelWater", "MeshWater", "Observations", "Part", "Raster", "RasterGrid", "Scene",
+    "SceneError", "Survey", "SurveyError", "Surveyed", "Truth", "TruthPoints", "Viewpoints", "Views", "WarningCode",
     "WaterExtent", "WaterHeights", "field_of_view", "largest_deviation", "mean_deviation", "reprojection_errors",
     "with_measured",
 ]  # fmt: skip

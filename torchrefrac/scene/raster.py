@@ -8,6 +8,33 @@ from torch import Tensor
 
 
 @dataclass(frozen=True)
+class RasterGrid:
+    """Square cells: row 0 is the northernmost, column 0 the westernmost; x_west, y_north: the outer corner of the first
+    cell."""
+
+    rows: int
+    columns: int
+    x_west: float
+    y_north: float
+    cell_size: float
+
+    def part(self, row: int, column: int, rows: int, columns: int) -> "RasterGrid":
+        """So many rows and columns of it, from one cell on, which may lie outside."""
+        x_west, y_north = self.x_west + column * self.cell_size, self.y_north - row * self.cell_size
+        return RasterGrid(rows, columns, x_west, y_north, self.cell_size)
+
+    def steps_of(self, points: Float[Tensor, "n d"]) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
+        """Rows and columns, whole numbers, in which points lie by their x and y; outside of the grid they go on."""
+        row = ((self.y_north - points[:, 1]) / self.cell_size).floor()
+        return row, ((points[:, 0] - self.x_west) / self.cell_size).floor()
+
+    def cells_of(self, points: Float[Tensor, "n d"]) -> tuple[Int[Tensor, " n"], Int[Tensor, " n"]]:
+        """Rows and columns of cells, the outermost ones of points that lie outside."""
+        row, column = self.steps_of(points)
+        return row.long().clamp(0, self.rows - 1), column.long().clamp(0, self.columns - 1)
+
+
+@dataclass(frozen=True)
 class Raster:
     """The surface on rows x columns square cells; row 0 is the northernmost (the largest y), column 0 the westernmost.
 
@@ -29,6 +56,12 @@ class Raster:
     cell_size: float
     length_unit: str
     views: Float[Tensor, "rows columns"]
+
+    @property
+    def grid(self) -> RasterGrid:
+        """Where its cells are."""
+        rows, columns = self.height.shape
+        return RasterGrid(rows, columns, self.x_west, self.y_north, self.cell_size)
 
     @property
     def depth(self) -> Float[Tensor, "rows columns"]:
