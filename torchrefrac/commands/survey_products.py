@@ -22,6 +22,7 @@ from torchrefrac.files.geotiff import BandFile, Place, band_file, color_file, re
 from torchrefrac.files.las import Extra, LasPoints, PointClass, extent_of, write_las
 from torchrefrac.files.metadata.local_frame import Grid
 from torchrefrac.files.run import CONTOURS, DENSE_LAZ, POINTS_LAZ, RASTERS
+from torchrefrac.files.systems import system_of
 from torchrefrac.numerics import thin
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import DenseCloud, Georeference, Raster, RasterGrid, Scene
@@ -54,9 +55,7 @@ def require_place(outputs: DenseOutputs, place: Georeference | None) -> None:
 
 
 def _same(crs: str, place: Georeference) -> bool:
-    from pyproj import CRS  # noqa: PLC0415 - of an extra
-
-    return CRS.from_user_input(crs) in (CRS.from_user_input(place.crs), CRS.from_user_input(place.name))
+    return system_of(crs) in (system_of(place.crs), system_of(place.name))
 
 
 def write_survey_products(

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
+from torchrefrac.files.systems import system_of
 from torchrefrac.recorder import Advance
 
 MISSING = "a LAS file needs laspy, lazrs and pyproj, which are not all installed: pip install torchrefrac[geo]"
@@ -60,7 +61,7 @@ def require_las(crs: str | None = None) -> None:
     if not all(find_spec(name) for name in ("laspy", "lazrs", "pyproj")):
         raise ImportError(MISSING)
     if crs is not None:
-        _system(crs)
+        system_of(crs)
 
 
 def write_las(
@@ -86,7 +87,7 @@ def write_las(
     header.generating_software = "torchrefrac"
     header.system_identifier = "EXTRACTION"
     if crs is not None:
-        header.add_crs(_system(crs))
+        header.add_crs(system_of(crs))
     parts = iter(parts)
     first = next(parts, None)
     if first is not None and first.extra:
@@ -130,13 +131,3 @@ def _grid(extent: Extent) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 
     offset = np.floor(low)
     needed = np.maximum((high - offset) / (MOST_STEPS * FINEST), 1.0)
     return offset, FINEST * 10.0 ** np.ceil(np.log10(needed))
-
-
-def _system(crs: str) -> Any:
-    from pyproj import CRS  # noqa: PLC0415 - of an extra
-    from pyproj.exceptions import CRSError  # noqa: PLC0415
-
-    try:
-        return CRS.from_user_input(crs)
-    except CRSError as error:
-        raise ValueError(f"crs is {crs!r}, which is no coordinate reference system: {error}") from None

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.files.metadata.local_frame import REMEDY, Grid, has_projections, origin_of, zone_of
+from torchrefrac.files.systems import horizontal_part, system_of
 from torchrefrac.scene.capture import CaptureError
 from torchrefrac.scene.georeference import Georeference
 from torchrefrac.scene.survey import POSITIONS, Survey, SurveyError
@@ -100,11 +101,7 @@ def _transformed(positions: Float[Tensor, "k 3"], crs: str, wanted: str) -> Floa
 
 def _plane(crs: str) -> Any:
     """The horizontal part of a system."""
-    from pyproj import CRS  # noqa: PLC0415 - of an extra
-    from pyproj.exceptions import CRSError  # noqa: PLC0415
-
     try:
-        system = CRS.from_user_input(crs)
-    except CRSError:
+        return horizontal_part(system_of(crs))
+    except ValueError:
         raise CaptureError(f"crs {crs!r} is not known to pyproj; give a code such as EPSG:32633") from None
-    return system.sub_crs_list[0] if system.is_compound else system

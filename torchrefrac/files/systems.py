@@ -1,4 +1,4 @@
-"""Whether two files are in the same coordinate reference system."""
+"""Coordinate reference systems by their names, as pyproj knows them."""
 
 from typing import Any
 
@@ -22,12 +22,21 @@ def length_unit(system: str | None) -> str:
     return "m" if axes and all(axis.unit_name == "metre" for axis in axes) else "unit"
 
 
-def _horizontal(system: str) -> Any:
+def system_of(crs: str) -> Any:
+    """pyproj's own of a system. Raises ValueError where it does not know it."""
     from pyproj import CRS  # noqa: PLC0415 - of an extra
     from pyproj.exceptions import CRSError  # noqa: PLC0415
 
     try:
-        found = CRS.from_user_input(system)
+        return CRS.from_user_input(crs)
     except CRSError as error:
-        raise ValueError(f"crs is {system!r}, which is no coordinate reference system: {error}") from None
-    return (found.sub_crs_list[0] if found.is_compound else found).to_2d()
+        raise ValueError(f"crs is {crs!r}, which is no coordinate reference system: {error}") from None
+
+
+def horizontal_part(system: Any) -> Any:
+    """Of pyproj's systems, of which some have one of heights beside it."""
+    return system.sub_crs_list[0] if system.is_compound else system
+
+
+def _horizontal(crs: str) -> Any:
+    return horizontal_part(system_of(crs)).to_2d()

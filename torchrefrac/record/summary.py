@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from torchrefrac.evaluate.dense_metrics import FOUND, TYPICAL
+from torchrefrac.evaluate.survey_orders import ORDERS
 from torchrefrac.record.terminal import wrapped
 
-ORDERS = ("exclusive", "special", "1", "2")  # of S-44, as metrics name them
 COMPARED = (("control", "ground control points"), ("check", "check points"))
 """Points of a survey by what names of metrics begin with, and what they are called."""
 LEFT_OUT = {
@@ -48,32 +48,30 @@ def _of_survey(metrics: Mapping[str, Any]) -> list[str]:
 
 def _compared(metrics: Mapping[str, Any], kind: str, words: str) -> list[str]:
     """How far points of a kind are from where they are stated."""
-    key = next((key for key in metrics if key.startswith(f"{kind}_rms_xy_")), None)
-    if key is None:
+    unit = _unit_of(metrics, f"{kind}_rms_xy_")
+    if unit is None:
         return []
-    unit, count = key.removeprefix(f"{kind}_rms_xy_"), len(metrics[f"{kind}_points"])
+    count = len(metrics[f"{kind}_points"])
     return [
-        f"{count} {words} {'meets' if count == 1 else 'meet'} {metrics[key]:.3g} {unit} (xy) and "
+        f"{count} {words} {'meets' if count == 1 else 'meet'} {metrics[f'{kind}_rms_xy_{unit}']:.3g} {unit} (xy) and "
         f"{metrics[f'{kind}_rms_z_{unit}']:.3g} {unit} (z) RMS from where they are stated"
     ]
 
 
 def _levels(metrics: Mapping[str, Any]) -> list[str]:
     """Where the water stood, by epochs, and what decided it where levels were stated."""
-    key = next((key for key in metrics if key.startswith("water_levels_")), None)
-    unit = "" if key is None else key.removeprefix("water_levels_")
-    epochs = {} if key is None else metrics[key]
+    unit = _unit_of(metrics, "water_levels_")
+    epochs = {} if unit is None else metrics[f"water_levels_{unit}"]
     lines = [f"water of {name}: {level['height']:.6g} {unit} +- {level['sigma']:.2g}" for name, level in epochs.items()]
     sources = [f"{each['source']} {each['weight_percent']:.3g} %" for each in metrics.get("water_level_from", [])]
     return [*lines, f"level of the water from {', '.join(sources)}"] if sources else lines
 
 
 def _against_truth(metrics: Mapping[str, Any]) -> list[str]:
-    key = next((key for key in metrics if key.startswith("camera_rms_")), None)
-    if key is None:
+    unit = _unit_of(metrics, "camera_rms_")
+    if unit is None:
         return []
-    unit = key.removeprefix("camera_rms_")
-    line = f"against truth ({metrics['alignment']} alignment): cameras {metrics[key]:.4f} {unit} RMS"
+    line = f"against truth ({metrics['alignment']} alignment): cameras {metrics[f'camera_rms_{unit}']:.4f} {unit} RMS"
     if f"surface_median_{unit}" in metrics:
         line += f", points {metrics[f'surface_median_{unit}']:.4f} {unit} from the surface (median)"
     if f"flatness_{unit}" in metrics:
@@ -109,24 +107,29 @@ def reconstruction_lines(metrics: Mapping[str, Any]) -> list[str]:
 
 def survey_lines(metrics: Mapping[str, Any]) -> list[str]:
     """Of the bed on the map, from the metrics of a run; none where it was not put there."""
-    land = next((key for key in metrics if key.startswith("land_difference_median_")), None)
     lines = []
-    if land is not None:
-        unit = land.removeprefix("land_difference_median_")
+    unit = _unit_of(metrics, "land_difference_median_")
+    if unit is not None:
         lines.append(
-            f"land: {metrics['land_points_compared']} points, {metrics[land]:.2g} {unit} (median) from where they are "
-            f"without refraction, {metrics[f'land_rise_median_{unit}']:+.2g} {unit} in height"
+            f"land: {metrics['land_points_compared']} points, {metrics[f'land_difference_median_{unit}']:.2g} {unit} "
+            f"(median) from where they are without refraction, {metrics[f'land_rise_median_{unit}']:+.2g} {unit} in "
+            "height"
         )
-    key = next((key for key in metrics if key.startswith("bed_sigma_median_")), None)
-    if key is None:
+    unit = _unit_of(metrics, "bed_sigma_median_")
+    if unit is None:
         return lines
-    unit = key.removeprefix("bed_sigma_median_")
     line = (
         f"bed: {metrics[f'bed_area_{unit}2']:.4g} {unit}^2, depth {metrics[f'depth_median_{unit}']:.3g} {unit} "
-        f"(median), standard deviation of heights {metrics[key]:.2g} {unit} (median)"
+        f"(median), standard deviation of heights {metrics[f'bed_sigma_median_{unit}']:.2g} {unit} (median)"
     )
-    orders = [f"{name} {metrics[f's44_{name}_percent']:g} %" for name in ORDERS if f"s44_{name}_percent" in metrics]
+    known = [(order.name, metrics.get(f"s44_{order.name}_percent")) for order in ORDERS]
+    orders = [f"{name} {share:g} %" for name, share in known if share is not None]
     return [*lines, line + (f"; S-44: {', '.join(orders)}" if orders else "")]
+
+
+def _unit_of(metrics: Mapping[str, Any], stem: str) -> str | None:
+    """The unit in which the first metric whose name begins so stands; None where there is none."""
+    return next((key.removeprefix(stem) for key in metrics if key.startswith(stem)), None)
 
 
 def warning_lines(metrics: Mapping[str, Any]) -> list[str]:
@@ -144,10 +147,9 @@ def dense_lines(metrics: Mapping[str, Any]) -> list[str]:
         f"{speed}{resumed}, each in {metrics['dense_views_median']:.0f} images (median), score "
         f"{metrics['dense_score_median']:.3f}"
     ]
-    key = next((key for key in metrics if key.startswith("dense_surface_median_")), None)
-    if key is None:
+    unit = _unit_of(metrics, "dense_surface_median_")
+    if unit is None:
         return lines
-    unit = key.removeprefix("dense_surface_median_")
     near = f"{TYPICAL:g}_{unit}"
     line = f"dense against truth: {100.0 * metrics[f'dense_accuracy_within_{near}']:.1f} % of the points within "
     line += f"{TYPICAL:g} {unit} of the surface"

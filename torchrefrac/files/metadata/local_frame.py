@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from torchrefrac.files.systems import horizontal_part, system_of
 from torchrefrac.scene.capture import CaptureError
 
 WGS84 = "EPSG:4326"
@@ -38,18 +39,18 @@ class Grid:
 
     def __post_init__(self) -> None:
         """Raises CaptureError where pyproj does not know it, or it has other axes."""
-        from pyproj import CRS  # noqa: PLC0415 - optional, and slow to import
-        from pyproj.exceptions import CRSError  # noqa: PLC0415
-
         try:
-            system = CRS.from_user_input(self.crs)
-        except CRSError:
+            plane = self._plane
+        except ValueError:
             problem = "is not known to pyproj; give a code such as EPSG:32633, or none for the zone of UTM"
             raise CaptureError(f"crs {self.crs!r} {problem}") from None
-        plane = system.sub_crs_list[0] if system.is_compound else system
         if not plane.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in plane.axis_info):
             problem = "has no axes in metres; give a projected system, such as the zone of UTM"
             raise CaptureError(f"crs {self.crs!r} {problem}")
+
+    @cached_property
+    def _plane(self) -> Any:
+        return horizontal_part(system_of(self.crs))
 
     @cached_property
     def _from_degrees(self) -> Any:
@@ -75,12 +76,10 @@ class Grid:
         """How long a metre on the ground is in the plane of the map, at a point (east, north) and a height in m. It is
         0.9996 along the middle of a zone of UTM, and on a mountain of 1000 m less by 0.00016: a flight of 1 km is
         stated 40 cm too short, while its heights are not."""
-        from pyproj import CRS, Proj  # noqa: PLC0415
+        from pyproj import Proj  # noqa: PLC0415
 
         longitude, latitude = self._from_degrees.transform(*point[:2], direction="INVERSE")
-        system = CRS.from_user_input(self.crs)
-        plane = system.sub_crs_list[0] if system.is_compound else system
-        factors = Proj(plane).get_factors(longitude, latitude)
+        factors = Proj(self._plane).get_factors(longitude, latitude)
         return float(np.sqrt(factors.areal_scale)) * RADIUS / (RADIUS + height)
 
     def _transform(self, latitude: Float[np.ndarray, " n"], longitude: Sequence[float]) -> Float[np.ndarray, "n 2"]:

@@ -17,6 +17,7 @@ from torch import Tensor
 from torchrefrac.camera import Intrinsics
 from torchrefrac.files.fields import MEGABYTE, MOST_MEGABYTES_OF_A_SCENE
 from torchrefrac.files.plausible import implausible
+from torchrefrac.files.systems import horizontal_part
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Cameras, SceneError, Viewpoints, field_of_view
 
@@ -133,11 +134,11 @@ def _on_map(found: Viewpoints, reference: str, crs: str | None, path: Path) -> V
         raise SceneError(f"{path} has cameras on Earth, which needs pyproj: pip install torchrefrac[geo]") from None
     try:
         own, target = CRS.from_user_input(reference), CRS.from_user_input(crs or reference)
-        flat = target.sub_crs_list[0] if target.is_compound else target
+        flat = horizontal_part(target)
         if not flat.is_projected:
             remedy = "give the projected one of the cloud, such as crs=EPSG:32633"
             raise SceneError(f"{path} has cameras in {flat.name}, which is no map; {remedy}")
-        geocentric = GeocentricCRS(datum=(own.sub_crs_list[0] if own.is_compound else own).geodetic_crs.datum)  # type: ignore[union-attr]
+        geocentric = GeocentricCRS(datum=horizontal_part(own).geodetic_crs.datum)
         onto = Transformer.from_crs(geocentric, target if target.is_compound else target.to_3d(), always_xy=True)
     except CRSError as error:
         raise SceneError(f"{path}: a reference system is not known: {error}") from None
