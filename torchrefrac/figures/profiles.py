@@ -128,5 +128,6 @@ def _draw_plan(panel: Any, raster: Raster, every: list[Profile]) -> None:
                 bbox={"boxstyle": "circle,pad=0.15", "fc": "white", "ec": TEXT, "lw": 0.6},
             )  # fmt: skip
     unit = raster.length_unit
+    panel.set_title("depth: dark is deep, white has no surface", fontsize=9, color=TEXT, pad=8.0)
     panel.set(aspect="equal", xlabel=f"x ({unit})", ylabel=f"y ({unit})")
     panel.tick_params(labelsize=8, colors=TEXT)
