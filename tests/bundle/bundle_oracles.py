@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 from torchrefrac.bundle.layout import Layout
+from torchrefrac.bundle.rows import MEDIA
 from torchrefrac.optim import Step, robust
 from torchrefrac.scene import Observations, Scene
 
@@ -63,7 +64,7 @@ def dense_jacobian(layout: Layout, observations: Observations, rows: Tensor) -> 
     images = torch.arange(layout.num_views)
     columns = [6 * images[:, None] + torch.arange(6)]
     columns += [layout.intrinsics_columns(name, layout.camera) for name in layout.intrinsics]
-    columns += [torch.full((len(images), 1), layout.index_column())] * ("index_ratio" in layout.water)
+    columns += [torch.full((len(images), 1), layout.medium_column(name)) for name in MEDIA if name in layout.water]
     by_plane = layout.plane_columns(layout.interface)
     columns.append(by_plane[:, by_plane[0] != layout.size])
     point = layout.size + 3 * observations.point[:, None] + torch.arange(3)

@@ -11,7 +11,7 @@ from torchrefrac.scene import Observations, Scene
 TABLES = {
     "pose": ("rotation", "center"),
     "cameras": ("focal", "principal_point", "distortion"),
-    "interfaces": ("normal", "offset", "index_ratio"),
+    "interfaces": ("normal", "offset", "index_ratio", "layers", "thickness"),
 }
 
 

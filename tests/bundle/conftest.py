@@ -75,17 +75,18 @@ def plant(make_basin, draw) -> Callable[..., Planted]:
     """`plant(views=4, points=30, noise=0.0, ...)`: points that two or more views see, noise in pixels.
 
     cameras: as many different ones, in turn; interfaces: as many different waters, for half of the views each, the
-    later ones tilted and higher by some centimetres. The rest goes to `make_basin`.
+    later ones tilted and higher by some centimetres; glass: of this thickness before the water, the last interface
+    without any where there are several. The rest goes to `make_basin`.
     """
 
-    def make(views=4, points=30, noise=0.0, cameras=1, interfaces=1, **scene) -> Planted:
+    def make(views=4, points=30, noise=0.0, cameras=1, interfaces=1, glass=None, **scene) -> Planted:
         basin = make_basin(cameras=views, points=points, seen_by=min(2, views), **scene)
         point, view = basin.project()[1].T.nonzero(as_tuple=True)
         turn = torch.arange(views)
         truth = Scene.create(
             Rigid(basin.rotation, basin.center),
             _cameras(basin.lens, cameras),
-            _interfaces(interfaces, basin.index_ratio),
+            _interfaces(interfaces, basin.index_ratio, glass),
             basin.points,
             Observations(view, point, torch.zeros(len(view), 2, dtype=torch.float64)),
             camera=turn % cameras,
@@ -112,10 +113,14 @@ def _cameras(first: Intrinsics, count: int) -> list[Intrinsics]:
     ]
 
 
-def _interfaces(count: int, index_ratio: float) -> Interfaces:
+def _interfaces(count: int, index_ratio: float, glass: float | None) -> Interfaces:
     step = torch.arange(count, dtype=torch.float64)
     normal = torch.stack((0.02 * step, -0.03 * step, torch.ones_like(step)), dim=-1)
-    return Interfaces(torch.nn.functional.normalize(normal, dim=-1), 2.0 * step, torch.full_like(step, index_ratio))
+    level = Interfaces(torch.nn.functional.normalize(normal, dim=-1), 2.0 * step, torch.full_like(step, index_ratio))
+    if glass is None:
+        return level
+    thickness = glass * (step < max(count - 1, 1)).double()[:, None]
+    return replace(level, layers=torch.full_like(thickness, 1.52), thickness=thickness)
 
 
 @pytest.fixture

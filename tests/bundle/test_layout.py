@@ -10,11 +10,13 @@ from tests.bundle.bundle_oracles import moved, num_unknowns
 from tests.bundle.changes import tensor_of
 from tests.tolerances import assert_matches
 from torchrefrac.bundle import KnownPoints
-from torchrefrac.bundle.layout import WATER_WIDTH, Layout
+from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.rows import INTRINSICS
 
+OF_WATER = ("index_ratio", "plane_tilt", "plane_height")
+
 SOME = ((), ("focal",), ("radial", "principal_point"), ("focal", "principal_point", "distortion"))
-WATERS = ((), ("index_ratio",), ("plane_height",), ("plane_tilt", "index_ratio"), tuple(WATER_WIDTH))
+WATERS = ((), ("index_ratio",), ("plane_height",), ("plane_tilt", "index_ratio"), OF_WATER)
 every_refinement = pytest.mark.parametrize(
     "refine", [(*intrinsics, *water) for intrinsics, water in product(SOME, WATERS)]
 )
@@ -41,7 +43,10 @@ def test_the_columns_of_an_observation_are_those_that_the_solver_takes(plant, re
 
     columns = [layout.pose_columns(images)]
     columns += [layout.intrinsics_columns(name, planted.truth.views.camera) for name in layout.intrinsics]
-    columns += [torch.full((4, 1), layout.index_column()), layout.plane_columns(planted.truth.views.interface)]
+    columns += [
+        torch.full((4, 1), layout.medium_column("index_ratio")),
+        layout.plane_columns(planted.truth.views.interface),
+    ]
 
     columns = torch.cat(columns, dim=1)
     varying = columns[0] < layout.size
@@ -60,7 +65,7 @@ def test_what_is_fixed_is_found_in_the_one_column_behind_all_others(plant):
     assert torch.equal(columns == layout.size, fixed)
     assert (columns[~fixed] == torch.arange(24)[~fixed.flatten()]).all()
     assert (layout.plane_columns(torch.arange(2))[:, 2] == layout.size).all()
-    assert layout.index_column() == layout.size
+    assert layout.medium_column("index_ratio") == layout.size
 
 
 def test_fixed_poses_of_which_none_is_fixed_are_as_good_as_none(plant):
@@ -143,7 +148,10 @@ def _columns(layout):
     columns |= {
         name: layout.intrinsics_columns(name, layout.cameras) for name in INTRINSICS if name in layout.intrinsics
     }
-    columns |= {"index_ratio": torch.tensor([layout.index_column()]), "plane": layout.plane_columns(layout.interfaces)}
+    columns |= {
+        "index_ratio": torch.tensor([layout.medium_column("index_ratio")]),
+        "plane": layout.plane_columns(layout.interfaces),
+    }
     if layout.reduced is not None:
         columns["points"] = layout.point_columns(layout.reduced.nonzero()[:, 0])
     return columns

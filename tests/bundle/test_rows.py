@@ -9,11 +9,12 @@ import torch
 from tests.bundle.bundle_oracles import dense_jacobian, errors_of, jacobian_of
 from tests.bundle.changes import changed
 from tests.tolerances import assert_matches
-from torchrefrac.bundle.rows import IMPOSSIBLE_PX, INTRINSICS, WATER, RowModel, observation_rows
+from torchrefrac.bundle.rows import IMPOSSIBLE_PX, INTRINSICS, OF_LAYERS, WATER, RowModel, observation_rows
 from torchrefrac.optim import robust
 
 LOSSES = ("squared", "huber", "cauchy", "truncated")
-ALL_WATER = tuple(WATER)
+GLASS = 1.5
+OF_SURFACES = tuple(name for name in WATER if name not in OF_LAYERS)
 every_loss = pytest.mark.parametrize("loss", LOSSES)
 
 
@@ -37,9 +38,9 @@ def rows_of():
 def test_every_unknown_has_the_derivative_of_autograd_through_the_camera(
     plant, disturb, rows_of, name, cameras, interfaces
 ):
-    planted = plant(
-        points=8, land=1, cameras=cameras, interfaces=interfaces, distortion=(-0.1, 0.03, 0.001, -0.002, 0.01)
-    )
+    glass = GLASS if name in OF_LAYERS else None
+    given = {"points": 8, "land": 1, "cameras": cameras, "interfaces": interfaces, "glass": glass}
+    planted = plant(**given, distortion=(-0.1, 0.03, 0.001, -0.002, 0.01))
 
     _assert_rows_of_autograd(planted, disturb(planted.truth), rows_of, (name,))
 
@@ -48,7 +49,7 @@ def test_every_unknown_has_the_derivative_of_autograd_through_the_camera(
 def test_rows_of_dry_points_have_the_derivatives_of_autograd_and_none_in_the_water(plant, disturb, rows_of, interfaces):
     planted = plant(points=8, interfaces=interfaces)
     state = replace(disturb(planted.truth), dry=torch.arange(8) % 2 == 0)
-    refine = ("focal", *ALL_WATER)
+    refine = ("focal", *OF_SURFACES)
 
     _assert_rows_of_autograd(planted, state, rows_of, refine)
 
@@ -71,7 +72,7 @@ def test_rows_of_dry_points_have_the_derivatives_of_autograd_and_none_in_the_wat
 def test_all_unknowns_together_stand_in_their_order(plant, disturb, rows_of, intrinsics, index_ratio):
     planted = plant(points=8, cameras=2, interfaces=2, index_ratio=index_ratio)
 
-    _assert_rows_of_autograd(planted, disturb(planted.truth), rows_of, (*intrinsics, *ALL_WATER))
+    _assert_rows_of_autograd(planted, disturb(planted.truth), rows_of, (*intrinsics, *OF_SURFACES))
 
 
 def test_the_last_row_is_the_projection_minus_the_pixel(plant, disturb, rows_of):
@@ -86,7 +87,7 @@ def test_the_last_row_is_the_projection_minus_the_pixel(plant, disturb, rows_of)
 @every_loss
 def test_a_robust_loss_scales_all_rows_of_an_observation_by_the_root_of_its_weight(plant, disturb, rows_of, loss):
     planted = plant(noise=1.0)
-    state, refine = disturb(planted.truth, size=0.05), ("focal", *ALL_WATER)
+    state, refine = disturb(planted.truth, size=0.05), ("focal", *OF_SURFACES)
     plain, _ = rows_of(planted, state, refine, loss="squared")
 
     rows, cost = rows_of(planted, state, refine, loss=loss, loss_scale=1.5)
@@ -105,7 +106,7 @@ def test_an_impossible_observation_weighs_nothing_and_costs_as_one_that_is_far_o
     points[3] = points.new_tensor((0.0, 0.0, 500.0))
     state = changed(planted.truth, points=points)
 
-    rows, cost = rows_of(planted, state, ("radial", *ALL_WATER), loss=loss)
+    rows, cost = rows_of(planted, state, ("radial", *OF_SURFACES), loss=loss)
 
     behind = planted.observations.point == 3
     far = torch.full((int(behind.sum()),), IMPOSSIBLE_PX**2, dtype=torch.float64)
@@ -144,10 +145,10 @@ def test_parts_that_all_cameras_share_need_no_copies(plant, disturb, rows_of):
 def test_more_observations_than_fit_a_block_are_worked_through_block_by_block(plant, disturb, rows_of, monkeypatch):
     planted = plant(noise=0.5, cameras=2, interfaces=2)
     state = disturb(planted.truth)
-    whole, cost = rows_of(planted, state, ("focal", *ALL_WATER))
+    whole, cost = rows_of(planted, state, ("focal", *OF_SURFACES))
     monkeypatch.setattr("torchrefrac.bundle.rows.BLOCK", 7)
 
-    blocks, sum_of_costs = rows_of(planted, state, ("focal", *ALL_WATER))
+    blocks, sum_of_costs = rows_of(planted, state, ("focal", *OF_SURFACES))
 
     assert_matches(blocks, whole, slack=1e3)
     assert_matches(sum_of_costs, cost, slack=10.0)
@@ -159,7 +160,7 @@ def test_more_observations_than_fit_a_block_are_worked_through_block_by_block(pl
 @pytest.mark.parametrize("dry", [False, True], ids=["in water", "some dry"])
 def test_compiled_rows_are_those_of_the_interpreter(plant, disturb, rows_of, dry):
     planted = plant(noise=0.5, cameras=2, interfaces=2)
-    state, refine = disturb(planted.truth), ("focal", "radial", *ALL_WATER)
+    state, refine = disturb(planted.truth), ("focal", "radial", *OF_SURFACES)
     state = replace(state, dry=torch.arange(len(state.points)) % 3 == 0) if dry else state
 
     rows, cost = rows_of(planted, state, refine, compiled=True)

@@ -16,12 +16,12 @@ from torchrefrac.bundle import (
     WaterLevels,
     Waterline,
 )
-from torchrefrac.bundle.layout import WATER_WIDTH
 from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.bundle.terms import GlobalPrior, concerned_points
 
 INTRINSICS_NAMES = ("focal", "principal_point", "distortion")
-WATER = tuple(WATER_WIDTH)
+WATER = ("index_ratio", "plane_tilt", "plane_height")
+LAYERS = ("layer_index", "layer_thickness")
 TWO = torch.tensor((2, 0))
 SIGMA = torch.tensor((0.5, 2.0), dtype=torch.float64)
 MEASURED = ("gravity", "gravity of some", "centre", "height", "known points", "scale bars", "waterline", "levels")
@@ -146,7 +146,7 @@ def test_what_is_expected_counts_how_many_standard_deviations_the_start_is_away(
     if name in INTRINSICS:
         columns = layout.intrinsics_columns(name, both)
     elif name == "index_ratio":
-        columns = torch.tensor([layout.index_column()])
+        columns = torch.tensor([layout.medium_column("index_ratio")])
     else:
         columns = layout.plane_columns(both)[:, :1] if name == "plane_tilt" else layout.plane_columns(both)[:, 2:]
     step[columns] = expected
@@ -159,9 +159,9 @@ def test_what_is_expected_counts_how_many_standard_deviations_the_start_is_away(
 
 
 def test_the_standard_deviation_of_each_kind_of_unknown_is_that_of_its_field():
-    expected = Expectations(0.1, 2.0, 0.03, 0.004, 3.0, 0.6)
+    expected = Expectations(0.1, 2.0, 0.03, 0.004, 3.0, 0.6, 0.02, 0.05)
 
-    sigmas = {name: expected.sigma_of(name) for name in (*INTRINSICS, *WATER)}
+    sigmas = {name: expected.sigma_of(name) for name in (*INTRINSICS, *WATER, *LAYERS)}
 
     tilt = sigmas.pop("plane_tilt")
     assert sigmas == {
@@ -171,6 +171,8 @@ def test_the_standard_deviation_of_each_kind_of_unknown_is_that_of_its_field():
         "distortion": 0.03,
         "index_ratio": 0.004,
         "plane_height": 0.6,
+        "layer_index": 0.02,
+        "layer_thickness": 0.05,
     }
     assert tilt == pytest.approx(3.0 * torch.pi / 180.0)
 

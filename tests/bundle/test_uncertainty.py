@@ -108,7 +108,7 @@ def test_all_of_it_is_the_inverse_of_the_whole_matrix_of_derivatives(case_of, na
     for unknown, sigma in known.intrinsics.items():
         _assert_same(sigma, deviation[layout.intrinsics_columns(unknown, layout.cameras)])
     if layout.water:
-        _assert_same(known.index_ratio, deviation[layout.index_column()])
+        _assert_same(known.index_ratio, deviation[layout.medium_column("index_ratio")])
         _assert_same(known.planes, deviation[layout.plane_columns(layout.interfaces)])
 
 

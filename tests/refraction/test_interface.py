@@ -263,7 +263,8 @@ def test_a_number_is_the_same_index_as_that_number_in_a_tensor(dtype):
         (FlatInterface(layers=(1.2, 1.2)), True),
         (FlatInterface(layers=(1.333, 1.0)), False),
         (FlatInterface(layers=(1.333, 1.0, 1.333), thickness=(0.1,)), False),
-        (FlatInterface(layers=(1.0, torch.tensor(1.333))), False),
+        (FlatInterface(layers=(1.0, torch.tensor(1.333))), True),
+        (FlatInterface(layers=(torch.tensor(1.0), 1.333)), False),
     ],
 )
 def test_the_camera_is_known_to_be_in_the_rarest_medium_if_numbers_say_so(interface, known):

@@ -29,6 +29,8 @@ def similarity_motions(scene: Scene, layout: Layout) -> tuple[Float[Tensor, "siz
     axes, turned = torch.eye(3, dtype=center.dtype, device=center.device), -skew(normal)
     poses[:, 3:, :3], points[..., :3], planes[:, 2, :3] = axes, axes, normal
     poses[:, :3, 3:SCALE], poses[:, 3:, 3:SCALE], points[..., 3:SCALE] = -rotation, -skew(center), -skew(position)
+    if interfaces.move_with_camera:
+        planes[:, 2, :3], turned = 0.0, torch.zeros_like(turned)
     planes[:, 0, 3:SCALE] = -(second[:, None] @ turned)[:, 0]
     planes[:, 1, 3:SCALE] = (first[:, None] @ turned)[:, 0]
     poses[:, 3:, SCALE], points[..., SCALE], planes[:, 2, SCALE] = center, position, offset
@@ -36,11 +38,16 @@ def similarity_motions(scene: Scene, layout: Layout) -> tuple[Float[Tensor, "siz
     motions[layout.pose_columns(torch.arange(m, device=center.device)).flatten()] = poses.flatten(0, 1)
     plane_columns = layout.plane_columns(layout.interfaces).flatten()
     motions[plane_columns] = planes.flatten(0, 1)
+    thickness, thick = interfaces.thickness, layout.medium_column("layer_thickness")
+    if thick < layout.size:
+        motions[thick, SCALE] = thickness.max()
     if layout.reduced is not None:
         motions[layout.point_columns(layout.reduced_points).flatten()] = points.flatten(0, 1)
     fixed = [] if layout.fixed is None else [torch.where(layout.fixed[..., None], poses, 0.0).flatten(0, 1)]
     if layout.refractive or "index_ratio" in layout.water:
         fixed.append(torch.where((plane_columns == layout.size)[:, None], planes.flatten(0, 1), 0.0))
+        if thick == layout.size and interfaces.has_layers:
+            fixed.append(torch.nn.functional.pad(thickness.reshape(-1, 1), (SCALE, 0)))
     motions[-1] = 0.0
     return motions[:-1], torch.cat((*fixed, center.new_zeros(0, 7)))
 

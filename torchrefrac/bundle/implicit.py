@@ -62,7 +62,13 @@ def _with_given(found: Scene, given: Scene, layout: Layout) -> Scene:
     refined = max((INTRINSICS[name].width for name in ("radial", "distortion") if name in layout.intrinsics), default=0)
     distortion = torch.cat((found.cameras.distortion[:, :refined], given.cameras.distortion[:, refined:]), dim=-1)
     exact = {n: getattr(given.cameras, n) for n in ("focal", "principal_point") if n not in layout.intrinsics}
-    fields = {"index_ratio": "index_ratio", "plane_tilt": "normal", "plane_height": "offset"}
+    fields = {
+        "index_ratio": "index_ratio",
+        "layer_index": "layers",
+        "layer_thickness": "thickness",
+        "plane_tilt": "normal",
+        "plane_height": "offset",
+    }
     return replace(
         found,
         cameras=replace(found.cameras, distortion=distortion, **exact),

@@ -25,7 +25,7 @@ def check_inputs(
     views that no chain of common points connects to the rest (unless their poses are fixed); SceneError for interfaces
     of several index ratios. known: points that have measurements of their own; these may be seen once.
     """
-    views, seen, interfaces = scene.views, scene.observations, scene.interfaces
+    views, seen = scene.views, scene.observations
     for name, mask in (("view", views.registered), ("point", scene.placed), ("observation", scene.accepted)):
         if not bool(mask.all()):
             raise UnadjustableError(f"not every {name} takes part; adjust `scene.part().scene`")
@@ -38,8 +38,7 @@ def check_inputs(
     if len(broken):
         where = _listed([f"{i} ({views.names[int(seen.view[i])]})" for i in broken[:SHOWN].tolist()], len(broken))
         raise UnadjustableError(f"pixels are not finite in observation {where}; leave such observations out")
-    normal, offset = interfaces.normal[views.interface], interfaces.offset[views.interface]
-    height = (normal * views.center).sum(dim=-1) - offset
+    height = scene.camera_heights()
     below = (height <= 0.0).nonzero()[:, 0] if scene.index_ratio > 1.0 else height[:0].long()
     if len(below):
         where = _listed([views.names[i] for i in below[:SHOWN].tolist()], len(below))
@@ -58,7 +57,7 @@ def _check_finite(scene: Scene) -> None:
     values: dict[str, Shaped[Tensor, ...]] = {"points": scene.points}
     for table, names in (
         ("views", ("rotation", "center")),
-        ("interfaces", ("normal", "offset", "index_ratio")),
+        ("interfaces", ("normal", "offset", "index_ratio", "layers", "thickness")),
         ("cameras", ("focal", "principal_point", "distortion")),
     ):
         values |= {f"{table}.{name}": getattr(getattr(scene, table), name) for name in names}

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.bundle.rows import INTRINSICS, WATER_WIDTH, coefficients_of
+from torchrefrac.bundle.rows import INTRINSICS, MEDIA, WATER, coefficients_of, water_unknowns
 from torchrefrac.geometry import so3_exp
 from torchrefrac.optim import REDUCED_SIZE, Family, Step
 from torchrefrac.scene import Cameras, Interfaces, Scene
@@ -25,10 +25,10 @@ STATED = ("focal", "principal_point", "distortion")
 @dataclass(frozen=True)
 class Layout:
     """camera and interface: those of each view. intrinsics and water: what varies of them (keys of `rows.INTRINSICS`
-    and of WATER_WIDTH); fixed_intrinsics: by name of the intrinsics, which numbers of which cameras do not, where some
+    and of WATER); fixed_intrinsics: by name of the intrinsics, which numbers of which cameras do not, where some
     do. fixed: unknowns of the poses (rotation, centre) that do not vary; fix_points: none of the points do. reduced:
     which points are reduced unknowns. refractive: whether the index ratio is above 1, so that images depend on the
-    plane."""
+    plane. moves_with_camera: whether the interfaces are ports."""
 
     camera: Int[Tensor, " m"]
     interface: Int[Tensor, " m"]
@@ -42,6 +42,7 @@ class Layout:
     fix_points: bool = False
     reduced: Bool[Tensor, " n"] | None = None
     refractive: bool = True
+    moves_with_camera: bool = False
 
     @classmethod
     def create(
@@ -54,7 +55,7 @@ class Layout:
     ) -> "Layout":
         """For `scene`, with what `refine` names varying besides poses and points, and of each camera what is stated to
         be uncertain. Raises ValueError for other names."""
-        known = (*INTRINSICS, *WATER_WIDTH)
+        known = (*INTRINSICS, *water_unknowns(scene.interfaces))
         unknown = [name for name in refine if name not in known]
         if unknown:
             raise ValueError(f"refine has {unknown[0]!r}, but knows {', '.join(known)}")
@@ -68,12 +69,13 @@ class Layout:
             num_interfaces=len(scene.interfaces),
             num_points=len(scene.points),
             intrinsics=intrinsics,
-            water=tuple(name for name in WATER_WIDTH if name in refine),
+            water=tuple(name for name in WATER if name in refine),
             fixed_intrinsics=fixed_intrinsics,
             fixed=fixed if fixed is not None and bool(fixed.any()) else None,
             fix_points=fix_points,
             reduced=reduced if reduced is not None and bool(reduced.any()) else None,
             refractive=scene.interfaces.refract(),
+            moves_with_camera=scene.interfaces.move_with_camera,
         )
 
     @property
@@ -92,12 +94,12 @@ class Layout:
 
     @cached_property
     def families(self) -> tuple[Family, ...]:
-        """In the order of the rows: the intrinsics, the index ratio, the plane."""
+        """In the order of the rows: the intrinsics, the media, the plane."""
         families = []
         if self.intrinsics:
             families.append(Family(self._intrinsics_size, self.camera, self.num_cameras))
-        if "index_ratio" in self.water:
-            families.append(Family(1, torch.zeros_like(self.interface), 1))
+        if self._media:
+            families.append(Family(len(self._media), torch.zeros_like(self.interface), 1))
         if self._plane_size:
             families.append(Family(self._plane_size, self.interface, self.num_interfaces))
         return tuple(families)
@@ -146,17 +148,17 @@ class Layout:
         widths = {name: INTRINSICS[name].width for name in self.intrinsics}
         none = {name: nothing.new_zeros(self.num_cameras, width) for name, width in widths.items()}
         own = [self.fixed_intrinsics.get(name, none[name]) for name in self.intrinsics]
-        water = nothing.new_zeros(self.num_views, sum(WATER_WIDTH[name] for name in self.water))
+        water = nothing.new_zeros(self.num_views, sum(WATER[name].width for name in self.water))
         return torch.cat((poses, *(fixed[self.camera] for fixed in own), water), dim=1)
 
-    def index_column(self) -> int:
-        """Of the index ratio."""
-        return self._first_water if "index_ratio" in self.water else self.size
+    def medium_column(self, name: str) -> int:
+        """Of one of MEDIA."""
+        return self._first_water + self._media.index(name) if name in self._media else self.size
 
     def plane_columns(self, interface: Int[Tensor, " k"]) -> Int[Tensor, "k 3"]:
         """Of the two tilts and the height of interfaces."""
         columns = torch.full((len(interface), 3), self.size, device=interface.device)
-        start = self._first_water + ("index_ratio" in self.water) + self._plane_size * interface[:, None]
+        start = self._first_water + len(self._media) + self._plane_size * interface[:, None]
         tilts = 2 if "plane_tilt" in self.water else 0
         columns[:, :tilts] = start + torch.arange(tilts, device=interface.device)
         if "plane_height" in self.water:
@@ -199,13 +201,25 @@ class Layout:
 
     def _moved_interfaces(self, interfaces: Interfaces, reduced: Float[Tensor, " size"]) -> Interfaces:
         index_ratio, normal, offset = interfaces.index_ratio, interfaces.normal, interfaces.offset
+        layers, thickness = interfaces.layers, interfaces.thickness
         if "index_ratio" in self.water:
-            index_ratio = index_ratio + reduced[self.index_column()]
+            index_ratio = index_ratio + reduced[self.medium_column("index_ratio")]
+        if "layer_index" in self.water:
+            layers = layers + reduced[self.medium_column("layer_index")]
+        if "layer_thickness" in self.water:
+            thickness = torch.where(thickness > 0.0, thickness + reduced[self.medium_column("layer_thickness")], 0.0)
         if self._plane_size:
             change = torch.nn.functional.pad(reduced, (0, 1))[self.plane_columns(self.interfaces)]
             plane = interfaces.planes.moved(change[:, :2], change[:, 2])
             normal, offset = plane.normal_like(normal), plane.offset
-        return Interfaces(normal, torch.as_tensor(offset), index_ratio)
+        return replace(
+            interfaces,
+            normal=normal,
+            offset=torch.as_tensor(offset),
+            index_ratio=index_ratio,
+            layers=layers,
+            thickness=thickness,
+        )
 
     @property
     def _first_water(self) -> int:
@@ -216,8 +230,12 @@ class Layout:
         return sum(INTRINSICS[name].width for name in self.intrinsics)
 
     @property
+    def _media(self) -> tuple[str, ...]:
+        return tuple(name for name in self.water if name in MEDIA)
+
+    @property
     def _plane_size(self) -> int:
-        return sum(WATER_WIDTH[name] for name in self.water if name != "index_ratio")
+        return sum(WATER[name].width for name in self.water if name not in MEDIA)
 
 
 def _varying(cameras: Cameras, refine: tuple[str, ...]) -> tuple[tuple[str, ...], dict[str, Bool[Tensor, "g width"]]]:

@@ -8,9 +8,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.bundle.gauge import SCALE, similarity_motions
-from torchrefrac.bundle.layout import WATER_WIDTH, Layout
+from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.problem import BundleProblem
-from torchrefrac.bundle.rows import INTRINSICS
+from torchrefrac.bundle.rows import INTRINSICS, OF_LAYERS, water_unknowns
 from torchrefrac.bundle.terms import GlobalPrior, HeightPrior, prior_sigmas
 from torchrefrac.optim import Covariance, SingularError
 from torchrefrac.scene import Cameras, Scene
@@ -18,6 +18,8 @@ from torchrefrac.scene import Cameras, Scene
 UNNOTICED = 1e-6
 WORDS = {
     "index_ratio": "index ratio",
+    "layer_index": "index of the glass",
+    "layer_thickness": "thickness of the glass, relative",
     "plane_tilt": "tilt of the water to the cameras",
     "plane_height": "height of cameras above the water, relative",
     "scale": "scale, relative",
@@ -29,6 +31,8 @@ WORDS = {
 UNITS = {"plane_tilt": " degrees", "principal_point": " px"}
 USEFUL = {  # a standard deviation beyond which refining adds nothing to what was known
     "index_ratio": 0.05,
+    "layer_index": 0.05,
+    "layer_thickness": 0.25,
     "plane_tilt": 5.0,
     "plane_height": 0.25,
     "focal": 0.1,
@@ -80,13 +84,14 @@ def determinations(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> 
     Asked of the adjustment in which all of them vary, whether or not they do in `problem`. Plane and heights are
     relative to the cameras. Raises SingularError where not even the cameras are determined.
     """
-    layout = replace(problem.layout, water=tuple(WATER_WIDTH))
+    water = water_unknowns(scene.interfaces)
+    layout = replace(problem.layout, water=water)
     names = (*layout.intrinsics, "index_ratio")
     vague = [GlobalPrior(name, scene, VAGUE[name]) for name in names]
     expected = problem.options.expected
     known = [
         GlobalPrior(name, scene, sigma)
-        for name in WATER_WIDTH
+        for name in water
         if name not in problem.layout.water and (sigma := expected.sigma_of(name)) is not None
     ]
     options = replace(problem.options, loss="squared", pixel_sigma=pixel_sigma)
@@ -116,7 +121,11 @@ def determinations(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> 
             if varying:
                 prior = priors[camera] if math.isfinite(priors[camera]) else None
                 result.append(_judged(name, max(varying), 1.0, prior, scene.cameras.label(camera)))
-    result.append(_judged("index_ratio", deviation(layout.index_column()), 1.0, expected.index_ratio))
+    result.append(_judged("index_ratio", deviation(layout.medium_column("index_ratio")), 1.0, expected.index_ratio))
+    if set(OF_LAYERS) <= set(water):
+        relative = 1.0 / float(scene.interfaces.thickness.max().clamp(min=torch.finfo(torch.float64).tiny))
+        for name, by in zip(OF_LAYERS, (1.0, relative), strict=True):
+            result.append(_judged(name, deviation(layout.medium_column(name)), by, expected.sigma_of(name)))
     planes = layout.plane_columns(layout.interfaces).tolist()
     tilt = max(deviation(column) for plane in planes for column in plane[:2])
     result.append(_judged("plane_tilt", tilt, 180.0 / math.pi, expected.sigma_of("plane_tilt")))
@@ -198,9 +207,7 @@ def _deviation(covariance: Float[Tensor, "size size"], functional: Float[Tensor,
 
 
 def _mean_height(problem: BundleProblem, scene: Scene) -> float:
-    of, interfaces = problem.layout.interface, scene.interfaces
-    normal, offset = interfaces.normal[of], interfaces.offset[of]
-    return float(((normal * scene.views.center).sum(dim=-1) - offset).abs().mean())
+    return float(scene.camera_heights().abs().mean())
 
 
 def undetermined(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> dict[str, str]:

@@ -7,7 +7,17 @@ from torchrefrac.bundle.terms import Expectations
 from torchrefrac.checks import Range, require_ranges
 from torchrefrac.optim import IterativeOptions, LevenbergMarquardtOptions, LossName, ReducedSolver
 
-Unknown = Literal["focal", "principal_point", "radial", "distortion", "index_ratio", "plane_tilt", "plane_height"]
+Unknown = Literal[
+    "focal",
+    "principal_point",
+    "radial",
+    "distortion",
+    "index_ratio",
+    "layer_index",
+    "layer_thickness",
+    "plane_tilt",
+    "plane_height",
+]
 
 
 @dataclass(frozen=True)
@@ -16,7 +26,8 @@ class BundleOptions:
     measured.
 
     refine: what varies besides poses and points: of the intrinsics focal (both focal lengths by the same factor),
-    principal_point, radial (k1 and k2), distortion (all five); of the water index_ratio, plane_tilt, plane_height.
+    principal_point, radial (k1 and k2), distortion (all five); of the water index_ratio, plane_tilt, plane_height;
+    of the one layer before it, if there is one, layer_index and layer_thickness.
     expected: what is known of them beforehand. refine_unseen: vary even what the data do not determine.
     jacobian: exact, or with the refrax ratio frozen as in the paper. reduced_solver: see `optim.Linearized`. compiled:
     hand the derivatives to torch.compile, which takes a minute once and a C++ compiler.

@@ -58,7 +58,8 @@ class BundleProblem:
     @property
     def rows_of(self) -> RowModel:
         options, frozen = self.options, self.options.jacobian == "frozen_ratio"
-        return RowModel(self.layout.intrinsics, self.layout.water, options.loss, options.loss_scale, frozen)
+        varying = self.layout.intrinsics, self.layout.water
+        return RowModel(*varying, options.loss, options.loss_scale, frozen, self.layout.moves_with_camera)
 
     def linearize(self, state: Scene) -> Linearized:
         """The normal equations at a scene, with their gauge."""
@@ -75,7 +76,7 @@ class BundleProblem:
             by_observation = more_rows.permute(2, 0, 1)
             blocks.append(Blocks.of_rows(torch.cat(columns, dim=1), by_observation[..., :-1], by_observation[..., -1]))
             cost = cost + more_cost
-        cost = torch.where(scene.interfaces.index_ratio[0] >= 1.0, cost, torch.inf)
+        cost = torch.where(scene.interfaces.are_possible, cost, torch.inf)
         gauge = gauge_directions(scene, layout, residuals, self.gauge)
         system = linearize(self.plan, rows, cost, blocks, gauge)
         weakref.finalize(system, self.buffers.append, rows)  # new memory costs as much as what is written to it

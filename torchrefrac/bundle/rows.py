@@ -14,14 +14,11 @@ from torchrefrac.camera import Intrinsics, projection_parts
 from torchrefrac.camera.jacobians import Axes
 from torchrefrac.geometry import Plane
 from torchrefrac.optim import LossName, RowLayout, in_cache, robust
-from torchrefrac.refraction import FlatInterface
-from torchrefrac.scene import Observations, Scene
-from torchrefrac.scene.interfaces import without_water
+from torchrefrac.scene import Interfaces, Observations, Scene
+from torchrefrac.scene.interfaces import layered, without_water
 
 IMPOSSIBLE_PX = 1e3
 POSE = ("rotation", "center")
-WATER_WIDTH = {"index_ratio": 1, "plane_tilt": 2, "plane_height": 1}
-WATER = {"index_ratio": "indices", "plane_tilt": "plane_tilt", "plane_height": "plane_height"}
 BLOCK, COMPILED_BLOCK = 32768, 65536
 Mask = Bool[Tensor, "..."] | None
 
@@ -37,6 +34,40 @@ class IntrinsicsUnknown(NamedTuple):
         that in itself, which differs from zero for the coordinate's own only."""
         parts = by[self.block][axis]
         return [focal[..., axis] * parts[axis]] if self.block == "focal" else parts[: self.width]
+
+
+class WaterUnknown(NamedTuple):
+    """One kind of unknown of the interfaces: how many numbers it has, of which block of derivatives it is made, and
+    which of its numbers that is, where the block has more. shared: whether all interfaces have it in common."""
+
+    width: int
+    block: str
+    shared: bool = False
+    at: int | None = None
+
+    def of(
+        self, by: Mapping[str, Axes], axis: int, thickness: Float[Tensor, "*interface inner"]
+    ) -> Sequence[Float[Tensor, " k"]]:
+        """Derivatives of one pixel coordinate; none in the thickness of a layer that an interface has not."""
+        parts = by[self.block][axis]
+        parts = parts if self.at is None else [parts[self.at]]
+        return [torch.where(thickness[..., 0] > 0.0, parts[0], 0.0)] if self.block == "thickness" else parts
+
+
+WATER = {
+    "index_ratio": WaterUnknown(1, "indices", shared=True, at=-1),
+    "layer_index": WaterUnknown(1, "indices", shared=True, at=0),
+    "layer_thickness": WaterUnknown(1, "thickness", shared=True, at=0),
+    "plane_tilt": WaterUnknown(2, "plane_tilt"),
+    "plane_height": WaterUnknown(1, "plane_height"),
+}
+MEDIA = tuple(name for name, unknown in WATER.items() if unknown.shared)
+OF_LAYERS = ("layer_index", "layer_thickness")
+
+
+def water_unknowns(interfaces: Interfaces) -> tuple[str, ...]:
+    """Keys of WATER that interfaces have: those of layers where there is one kind of layer."""
+    return tuple(name for name in WATER if name not in OF_LAYERS or interfaces.layers.shape[-1] == 1)
 
 
 INTRINSICS = {
@@ -61,11 +92,12 @@ class RowModel:
     loss: LossName = "huber"
     loss_scale: float = 0.25
     frozen_ratio: bool = False
+    moves_with_camera: bool = False
 
     @property
     def layout(self) -> RowLayout:
         """Of the rows; intrinsics and water as one family each."""
-        widths = (INTRINSICS[name].width for name in self.intrinsics), (WATER_WIDTH[name] for name in self.water)
+        widths = (INTRINSICS[name].width for name in self.intrinsics), (WATER[name].width for name in self.water)
         return RowLayout.of(*map(sum, widths))
 
 
@@ -123,6 +155,8 @@ def _gathered(model: RowModel, scene: Scene, seen: Observations) -> tuple[Mask, 
         interfaces.index_ratio[0],
         interfaces.normal[interface],
         offset if scene.dry is None else without_water(offset, scene.dry[seen.point]),
+        interfaces.layers[interface],
+        interfaces.thickness[interface],
         seen.precision,
     )
 
@@ -145,12 +179,15 @@ def _parts(
     index_ratio: Float[Tensor, ""],
     normal: Float[Tensor, "*interface 3"],
     offset: Float[Tensor, "*place"],
+    layers: Float[Tensor, "*interface inner"],
+    thickness: Float[Tensor, "*interface inner"],
     precision: Float[Tensor, "*precision"],
 ) -> tuple[list[list[Float[Tensor, " k"]]], Float[Tensor, " k"]]:
     """The rows of u and those of v, and rho."""
     intrinsics = Intrinsics(1, 1, focal, principal_point, distortion, fisheye, check=False)
-    interface = FlatInterface(index_ratio, plane=Plane(normal, offset, check=False), check=False)
-    blocks = *(INTRINSICS[name].block for name in model.intrinsics), *(WATER[name] for name in model.water)
+    media, plane = (layers.unbind(dim=-1), thickness.unbind(dim=-1)), Plane(normal, offset, check=False)
+    interface = layered(index_ratio, *media, plane, model.moves_with_camera)
+    blocks = [(INTRINSICS | WATER)[name].block for name in (*model.intrinsics, *model.water)]
     wanted = (*POSE, "point", *blocks)
     pixel, valid, by = projection_parts(intrinsics, rotation, center, points, interface, wanted, model.frozen_ratio)
     residual = pixel[0] - pixels[:, 0], pixel[1] - pixels[:, 1]
@@ -162,7 +199,7 @@ def _parts(
     for axis in (0, 1):
         parts = [part for name in POSE for part in by[name][axis]]
         parts += [part for name in model.intrinsics for part in INTRINSICS[name].of(by, focal, axis)]
-        parts += [part for name in model.water for part in by[WATER[name]][axis]]
+        parts += [part for name in model.water for part in WATER[name].of(by, axis, thickness)]
         axes.append([part * root for part in (*parts, *by["point"][axis], residual[axis])])
     return axes, torch.where(valid, rho, impossible)
 

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.problem import BundleProblem
-from torchrefrac.bundle.rows import INTRINSICS, WATER_WIDTH
+from torchrefrac.bundle.rows import INTRINSICS, WATER
 from torchrefrac.optim import Covariance, SingularError
 from torchrefrac.scene import Scene
 
@@ -29,7 +29,7 @@ def wished_changes(
     if name in (*layout.intrinsics, *layout.water) and name not in layout.fixed_intrinsics:
         return {}
     if name == "index_ratio":
-        layout = replace(layout, water=tuple(n for n in WATER_WIDTH if n in (name, *layout.water)))
+        layout = replace(layout, water=tuple(n for n in WATER if n in (name, *layout.water)))
     else:
         intrinsics = tuple(n for n in INTRINSICS if n in (name, *layout.intrinsics))
         fixed_intrinsics = {n: of for n, of in layout.fixed_intrinsics.items() if n != name}
@@ -50,7 +50,7 @@ def columns_of(scene: Scene, layout: Layout, name: Given, which: Bool[Tensor, "g
     """Where the index ratio, or the focal lengths of the cameras that take part, stand among the reduced unknowns.
     which: of these cameras alone."""
     if name == "index_ratio":
-        return {name: layout.index_column()}
+        return {name: layout.medium_column(name)}
     rows = layout.camera.unique()
     rows = rows if which is None else rows[which[rows, 0]]
     columns = layout.intrinsics_columns(name, rows)[:, 0].tolist()

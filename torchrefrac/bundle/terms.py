@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.bundle.layout import Layout
-from torchrefrac.bundle.rows import INTRINSICS
+from torchrefrac.bundle.rows import INTRINSICS, MEDIA
 from torchrefrac.checks import Range, require_ranges
 from torchrefrac.geometry import Plane, skew
-from torchrefrac.scene import Cameras, Scene
+from torchrefrac.scene import Cameras, Interfaces, Scene
 
 
 class Residuals(NamedTuple):
@@ -141,8 +141,8 @@ class WaterLevels:
 class Expectations:
     """Standard deviations of the start's intrinsics and water; None: nothing is known.
 
-    focal: relative; principal_point: pixels; distortion: of every coefficient; index_ratio; plane_tilt_deg: degrees;
-    plane_height: in the unit of the scene.
+    focal: relative; principal_point: pixels; distortion: of every coefficient; index_ratio and layer_index;
+    plane_tilt_deg: degrees; layer_thickness and plane_height: in the unit of the scene.
     """
 
     focal: float | None = None
@@ -151,12 +151,14 @@ class Expectations:
     index_ratio: float | None = None
     plane_tilt_deg: float | None = None
     plane_height: float | None = None
+    layer_index: float | None = None
+    layer_thickness: float | None = None
 
     def __post_init__(self) -> None:
         require_ranges(self, {each.name: Range(above=0.0, at_most=1e6) for each in fields(self)})
 
     def sigma_of(self, name: str) -> float | None:
-        """Of a kind of unknown (keys of `rows.INTRINSICS` and `layout.WATER_WIDTH`), tilts in radians."""
+        """Of a kind of unknown (keys of `rows.INTRINSICS` and `rows.WATER`), tilts in radians."""
         if name == "plane_tilt":
             return None if self.plane_tilt_deg is None else self.plane_tilt_deg * torch.pi / 180.0
         return self.distortion if name == "radial" else getattr(self, name)
@@ -177,9 +179,9 @@ class GlobalPrior:
             columns = layout.intrinsics_columns(self.name, layout.cameras)
             return self._scaled(value, torch.eye(value.shape[1], dtype=value.dtype, device=value.device), columns)
         new, old = scene.interfaces, self.start.interfaces
-        if self.name == "index_ratio":
-            value = (new.index_ratio[:1] - old.index_ratio[:1])[:, None]
-            columns = torch.full((1, 1), layout.index_column(), device=value.device)
+        if self.name in MEDIA:
+            value = (_medium(new, self.name) - _medium(old, self.name))[None, None]
+            columns = torch.full((1, 1), layout.medium_column(self.name), device=value.device)
             return self._scaled(value, torch.ones_like(value), columns)
         columns = layout.plane_columns(layout.interfaces)
         if self.name == "plane_height":
@@ -205,6 +207,14 @@ class GlobalPrior:
         jacobian = jacobian.expand(len(value), value.shape[1], -1)
         sigma = torch.as_tensor(self.sigma, dtype=value.dtype, device=value.device).reshape(-1, 1)
         return Residuals(value / sigma, jacobian / sigma[..., None], columns)
+
+
+def _medium(interfaces: Interfaces, name: str) -> Float[Tensor, ""]:
+    """One of MEDIA, of the first interface that has it."""
+    if name == "index_ratio":
+        return interfaces.index_ratio[0]
+    first = interfaces.thickness[:, 0].argmax()
+    return (interfaces.layers if name == "layer_index" else interfaces.thickness)[first, 0]
 
 
 def expectations(scene: Scene, layout: Layout, expected: Expectations) -> list[GlobalPrior]:

@@ -105,7 +105,7 @@ def uncertainty(problem: BundleProblem, scene: Scene, pixel_sigma: float | None 
         points=points,
         relative=relative,
         intrinsics={name: deviation[layout.intrinsics_columns(name, layout.cameras)] for name in layout.intrinsics},
-        index_ratio=deviation[layout.index_column()],
+        index_ratio=deviation[layout.medium_column("index_ratio")],
         planes=deviation[layout.plane_columns(layout.interfaces)],
         covariance=reduced,
         layout=layout,

@@ -26,7 +26,7 @@ from torchrefrac.refraction import FlatInterface
 from torchrefrac.refraction.interface import Parameter
 from torchrefrac.refraction.lift import Lift, Sight, is_valid, precise, solve_height_with_partials
 
-BLOCKS = ("rotation", "center", "point", "focal", "distortion", "indices", "plane_tilt", "plane_height")
+BLOCKS = ("rotation", "center", "point", "focal", "distortion", "indices", "thickness", "plane_tilt", "plane_height")
 Axes = tuple[Sequence[Part], Sequence[Part]]
 
 
@@ -34,8 +34,8 @@ class ProjectionJacobians(NamedTuple):
     """Derivatives of pixels.
 
     rotation: left perturbation, R <- exp([w]x) R, radians; center, point: world frame; indices: refractive index of
-    each layer behind the camera's, relative to the camera's; plane_tilt, radians, and plane_height: the coordinates of
-    `Plane.moved`.
+    each layer behind the camera's, relative to the camera's; thickness: of each between the first and the last;
+    plane_tilt, radians, and plane_height: the coordinates of `Plane.moved`.
     """
 
     rotation: Float[Tensor, "*batch 2 3"]
@@ -45,6 +45,7 @@ class ProjectionJacobians(NamedTuple):
     principal_point: Float[Tensor, "*batch 2 2"]
     distortion: Float[Tensor, "*batch 2 k"]
     indices: Float[Tensor, "*batch 2 layers"]
+    thickness: Float[Tensor, "*batch 2 inner"]
     plane_tilt: Float[Tensor, "*batch 2 2"]
     plane_height: Float[Tensor, "*batch 2"]
 
@@ -66,7 +67,8 @@ def project_with_jacobians(
     rotation: cam_from_world; batches broadcast. Entries that are not valid are finite.
     """
 
-    wanted = [name for name in BLOCKS if name != "distortion" or intrinsics.distortion.shape[-1]]
+    empty = {"distortion": not intrinsics.distortion.shape[-1], "thickness": not len(interface.thickness)}
+    wanted = [name for name in BLOCKS if not empty.get(name, False)]
 
     def block(first: Vectors, second: Vectors, *tensors: AnyTensor) -> tuple[AnyTensor, ...]:
         pixel, valid, by = _differentiate(tensors, interface, (triples.split(first), triples.split(second)), wanted)
@@ -77,7 +79,8 @@ def project_with_jacobians(
     dims = (1, 0, *(2 for _ in wanted))
     pixels, valid, *blocks = in_blocks(precise(block, interface), [*tangents, *tensors], [1, 1, *event_dims], dims)
     by: dict[str, Parameter] = dict(zip(wanted, blocks, strict=True))
-    by.setdefault("distortion", by["focal"][..., :0])
+    for name in empty:
+        by.setdefault(name, by["focal"][..., :0])
     by["plane_height"] = by["plane_height"][..., 0]
     by["principal_point"] = torch.eye(2, dtype=pixels.dtype, device=pixels.device).expand((*valid.shape, 2, 2))
     return pixels, ProjectionJacobians(**by), valid
@@ -143,14 +146,15 @@ def _with_frozen_ratio(sight: Sight, lift: Lift) -> Lift:
     zero = torch.zeros_like(lift.height)
     by_height = torch.where(sight.bent, lift.height / sight.safe_height, lift.by_height)
     by_depth = torch.where(sight.bent, 0.0, lift.by_depth)
-    return Lift(lift.height, by_height, by_depth, by_distance_sq=zero, by_index=[zero for _ in lift.by_index])
+    none = {"by_index": [zero for _ in lift.by_index], "by_thickness": [zero for _ in lift.by_thickness]}
+    return Lift(lift.height, by_height, by_depth, by_distance_sq=zero, **none)
 
 
 class _Bend(NamedTuple):
     """How the apparent offset e changes beyond the straight line's change.
 
-    In the point by -n q^T, in the centre by -n r^T; in each tilt by -n alpha - rise dn; in the height of the plane and
-    in each index by -n times these.
+    In the point by -n q^T, in the centre by -n r^T; in each tilt by -n alpha - rise dn; in the height of the plane, in
+    each index and in each thickness by -n times these.
     """
 
     q: Triple
@@ -160,6 +164,7 @@ class _Bend(NamedTuple):
     dn: list[Triple]
     by_height: Part
     by_index: list[Part]
+    by_thickness: list[Part]
 
 
 def _bend(sight: Sight, lift: Lift, tangents: tuple[Triple, Triple], with_tilt: bool) -> _Bend:
@@ -180,6 +185,7 @@ def _bend(sight: Sight, lift: Lift, tangents: tuple[Triple, Triple], with_tilt: 
         dn=tilts,
         by_height=lift.by_depth - lift.by_height,
         by_index=lift.by_index,
+        by_thickness=lift.by_thickness,
     )
 
 
@@ -206,6 +212,8 @@ def _of_axis(
     ]
     if "indices" in wanted:
         by["indices"] = [-g_n * by_index for by_index in bend.by_index]
+    if "thickness" in wanted:
+        by["thickness"] = [-g_n * by_thickness for by_thickness in bend.by_thickness]
     if "plane_height" in wanted:
         by["plane_height"] = [-g_n * bend.by_height]
     return by

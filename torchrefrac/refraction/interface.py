@@ -119,7 +119,8 @@ class FlatInterface:
     @property
     def camera_in_rarest(self) -> bool:
         """Whether it is known without a look at tensors that no medium is rarer than the camera's."""
-        if self.layers is None:
+        first = self.indices[0]
+        if isinstance(first, float | int) and first == 1.0:  # no index is below 1
             return True
         numbers = [float(n) for n in self.indices if not isinstance(n, Tensor)]
         return len(numbers) == len(self.indices) and numbers[0] == min(numbers)

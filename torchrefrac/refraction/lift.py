@@ -48,13 +48,15 @@ class Sight(NamedTuple):
 
 class Lift(NamedTuple):
     """Apparent height H and its derivatives: in the camera's height above the first surface, in the point's depth
-    below it, in the squared horizontal distance, and in the index of every later layer relative to the camera's."""
+    below it, in the squared horizontal distance, in the index of every later layer relative to the camera's, and in the
+    thickness of every layer between the first and the last, which the rest of the way gets shorter by."""
 
     height: Part
     by_height: Part
     by_depth: Part
     by_distance_sq: Part
     by_index: list[Part]
+    by_thickness: list[Part]
 
 
 def lift_points(
@@ -126,12 +128,17 @@ def solve_height_with_partials(sight: Sight, camera_in_rarest: bool) -> Lift:
     )
     by_depth = sum(torch.where(here, by, 0.0) for here, by in zip(sight.ends_here, by_layer, strict=True))
     assert isinstance(by_depth, Tensor)
+    by_thickness, crossed = [], sight.bent
+    for here, by in zip(sight.ends_here[:-1], by_layer[:-1], strict=True):
+        crossed = crossed & ~here
+        by_thickness.append(torch.where(crossed, by - by_depth, 0.0))
     return Lift(
         height=_finish(sight, height),
         by_height=torch.where(sight.bent, by_height, 1.0),
         by_depth=torch.where(sight.bent, by_depth, 1.0),
         by_distance_sq=torch.where(sight.bent, by_distance_sq, 0.0),
         by_index=[torch.where(sight.bent, by, 0.0) for by in by_index],
+        by_thickness=by_thickness,
     )
 
 

@@ -1,8 +1,9 @@
-"""Interfaces: the flat surfaces through which views look."""
+"""Interfaces: the flat layers through which views look."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -11,18 +12,45 @@ from torch import Tensor
 from torchrefrac.geometry import Plane
 from torchrefrac.refraction import FlatInterface
 
+Kind = Literal["surface", "wall", "port"]
+SURFACE: Kind = "surface"
+WALL: Kind = "wall"
+PORT: Kind = "port"
+KINDS: tuple[Kind, ...] = (SURFACE, WALL, PORT)
+"""Water that is open above; a wall, fixed in the world, as of an aquarium; the port of a housing, which moves with the
+camera: its plane is in the frame of the camera then."""
 MAX_INDEX_RATIO = 3.0  # beyond any liquid
 INDEX_RATIO_RANGE = f"n_water / n_air lies between 1 and {MAX_INDEX_RATIO:g} (water: 1.333)"
 
 
+def _none() -> Float[Tensor, "0 0"]:
+    return torch.zeros(0, 0, dtype=torch.float64)
+
+
 @dataclass(frozen=True, eq=False)
 class Interfaces:
-    """A table of water surfaces normal . x = offset in the world frame, with unit normals towards the cameras, and what
-    lies below: index_ratio is n_water / n_air."""
+    """A table of first surfaces normal . x = offset in the world frame, with unit normals towards the cameras, and what
+    lies beyond: index_ratio is n_water / n_air.
+
+    Between air and water there may be `layers`, as of glass: their indices n / n_air, and their thickness in the unit
+    of the scene; an interface with fewer of them than others has some of thickness 0. By default there are none.
+    kinds: what each is, see KINDS; by default surfaces of water.
+    """
 
     normal: Float[Tensor, "e 3"]
     offset: Float[Tensor, " e"]
     index_ratio: Float[Tensor, " e"]
+    layers: Float[Tensor, "e k"] = field(default_factory=_none)
+    thickness: Float[Tensor, "e k"] = field(default_factory=_none)
+    kinds: tuple[Kind, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not len(self.layers):
+            nothing = self.offset.new_zeros(len(self.offset), 0)
+            object.__setattr__(self, "layers", nothing)
+            object.__setattr__(self, "thickness", nothing)
+        if not self.kinds:
+            object.__setattr__(self, "kinds", (SURFACE,) * len(self.offset))
 
     @classmethod
     def level(cls, index_ratio: float | Float[Tensor, ""], height: float = 0.0) -> "Interfaces":
@@ -36,8 +64,8 @@ class Interfaces:
 
     @cached_property
     def is_level(self) -> bool:
-        """Whether there is one surface, the plane z = 0, of which nobody wants derivatives."""
-        if self.normal.requires_grad or self.offset.requires_grad:
+        """Whether there is one first surface, the plane z = 0, of which nobody wants derivatives."""
+        if self.move_with_camera or self.normal.requires_grad or self.offset.requires_grad:
             return False
         return self.normal.tolist() == [[0.0, 0.0, 1.0]] and self.offset.tolist() == [0.0]
 
@@ -48,8 +76,24 @@ class Interfaces:
 
     @cached_property
     def is_air(self) -> bool:
-        """Whether there is one surface, at which nothing refracts, and nobody wants derivatives."""
-        return not self.index_ratio.requires_grad and self.index_ratio.tolist() == [1.0]
+        """Whether there is one interface, at which nothing refracts, and nobody wants derivatives."""
+        return not self.has_layers and not self.index_ratio.requires_grad and self.index_ratio.tolist() == [1.0]
+
+    @property
+    def are_possible(self) -> Bool[Tensor, ""]:
+        """Whether no index is below 1 and no thickness below 0."""
+        lowest = torch.cat((self.index_ratio, self.layers.flatten(), 1.0 + self.thickness.flatten()))
+        return (lowest >= 1.0).all()
+
+    @property
+    def has_layers(self) -> bool:
+        """Whether anything lies between air and water."""
+        return self.layers.shape[-1] > 0
+
+    @property
+    def move_with_camera(self) -> bool:
+        """Whether they are ports."""
+        return PORT in self.kinds
 
     def problem(self) -> str:
         """What cannot be right about the surfaces; empty where nothing is."""
@@ -57,8 +101,18 @@ class Interfaces:
             return "there must be at least one interface"
         if not (self.normal.norm(dim=-1) - 1.0).abs().max() < 1e-6 or not self.offset.isfinite().all():
             return "normal must hold unit vectors, and offset finite numbers"
+        return self._problem_of_media()
+
+    def _problem_of_media(self) -> str:
         wrong = self.index_ratio[~((self.index_ratio >= 1.0) & (self.index_ratio <= MAX_INDEX_RATIO))].tolist()
-        return f"index_ratio is {wrong[0]:g}, but {INDEX_RATIO_RANGE}" if wrong else ""
+        if wrong:
+            return f"index_ratio is {wrong[0]:g}, but {INDEX_RATIO_RANGE}"
+        if not bool(((self.layers >= 1.0) & (self.layers <= MAX_INDEX_RATIO)).all()):
+            return f"layers must have indices of 1 to {MAX_INDEX_RATIO:g}, relative to air (glass: 1.52)"
+        if not bool(((self.thickness >= 0.0) & self.thickness.isfinite()).all()):
+            return "thickness must be finite numbers of at least 0"
+        mixed = self.move_with_camera and set(self.kinds) != {PORT}
+        return "ports and other interfaces cannot be in one scene" if mixed else ""
 
     @property
     def planes(self) -> Plane:
@@ -75,7 +129,8 @@ class Interfaces:
         plane = Plane() if len(self) == 1 and self.is_level else self.planes.indexed(rows, (len(self),))
         if dry is not None:
             plane = Plane(plane.normal, without_water(self.offset[rows], dry), check=False)
-        return FlatInterface(self.index_ratio[rows], plane=plane, check=False)
+        layers, thickness = self.layers[rows].unbind(dim=-1), self.thickness[rows].unbind(dim=-1)
+        return layered(self.index_ratio[rows], layers, thickness, plane, self.move_with_camera)
 
     def refract(self) -> bool:
         """Whether any of them bends a ray."""
@@ -83,7 +138,34 @@ class Interfaces:
 
     def detached(self) -> "Interfaces":
         """The same without a graph."""
-        return Interfaces(self.normal.detach(), self.offset.detach(), self.index_ratio.detach())
+        return replace(self, **{name: getattr(self, name).detach() for name in TENSORS})
+
+    def repeated(self, count: int) -> "Interfaces":
+        """The one interface as many times."""
+        tensors = {name: getattr(self, name).repeat(count, *(1,) * (getattr(self, name).dim() - 1)) for name in TENSORS}
+        return replace(self, kinds=self.kinds * count, **tensors)
+
+    def scaled(self, by: float | Float[Tensor, ""]) -> "Interfaces":
+        """The same in another unit: lengths are so many times what they were."""
+        return replace(self, offset=by * self.offset, thickness=by * self.thickness)
+
+
+TENSORS = ("normal", "offset", "index_ratio", "layers", "thickness")
+"""The fields of `Interfaces` that are tensors."""
+
+
+def layered(
+    index_ratio: Float[Tensor, "*#batch"],
+    layers: Sequence[Float[Tensor, "*#batch"]],
+    thickness: Sequence[Float[Tensor, "*#batch"]],
+    plane: Plane,
+    moves_with_camera: bool = False,
+) -> FlatInterface:
+    """Air, layers, and water, of indices relative to air, not checked."""
+    if not layers:
+        return FlatInterface(index_ratio, plane=plane, moves_with_camera=moves_with_camera, check=False)
+    media = (1.0, *layers, index_ratio)
+    return FlatInterface(index_ratio, media, tuple(thickness), plane, moves_with_camera, check=False)
 
 
 def without_water(offset: Float[Tensor, "*#batch"], dry: Bool[Tensor, "*#batch"]) -> Float[Tensor, "*batch"]:

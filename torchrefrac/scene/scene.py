@@ -221,6 +221,8 @@ class Scene:
             "pixels": (self.observations.pixels, (k, 2)),
             "normal": (self.interfaces.normal, (e, 3)),
             "index_ratio": (self.interfaces.index_ratio, (e,)),
+            "layers": (self.interfaces.layers, (e, self.interfaces.layers.shape[-1])),
+            "thickness": (self.interfaces.thickness, (e, self.interfaces.layers.shape[-1])),
         }
         if self.dry is not None:
             shapes["dry"] = (self.dry, (n,))
@@ -276,6 +278,12 @@ class Scene:
         result[rows] = reprojection_errors(self.cameras_of(seen), self.points[seen.point], seen.pixels)
         return result
 
+    def camera_heights(self) -> Float[Tensor, " m"]:
+        """Of the centres of all views before the first surface that each looks through, negative beyond it."""
+        interfaces, of = self.interfaces, self.views.interface
+        normal, offset = interfaces.normal[of], interfaces.offset[of]
+        return -offset if interfaces.move_with_camera else (normal * self.views.center).sum(dim=-1) - offset
+
     def support(self) -> Int[Tensor, " m"]:
         """How many accepted observations each view has."""
         return torch.bincount(self.observations.view[self.accepted], minlength=len(self.views))
@@ -288,6 +296,8 @@ class Scene:
     def above_water(self) -> Bool[Tensor, " n"]:
         """Points above the surface that the first view with an observation of them looks through, or the first."""
         seen, interfaces = self.observations, self.interfaces
+        if interfaces.move_with_camera:
+            return torch.zeros_like(self.placed)
         if len(interfaces) == 1 or not len(seen):
             return interfaces.planes.indexed(0, (len(interfaces),)).signed_distance(self.points) > 0.0
         first = torch.searchsorted(seen.point, torch.arange(len(self.points))).clamp(max=len(seen) - 1)

@@ -16,7 +16,7 @@ from torchrefrac.bundle import BundleProblem, adjust
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.score import Given, columns_of
 from torchrefrac.optim import Covariance, SingularError
-from torchrefrac.scene import Assessment, Interfaces, Part, Scene
+from torchrefrac.scene import Assessment, Part, Scene
 from torchrefrac.sfm.rules import Rules
 
 FEWEST_VIEWS, FEWEST_OTHERS = 4, 2
@@ -96,7 +96,5 @@ def _adjusted_difference(part: Part, others: Bool[Tensor, " k"], rules: Rules) -
 
 def with_surfaces(scene: Scene, interface: Int[Tensor, " m"]) -> Scene:
     """The scene with its one surface as many times as the views need it, which have those of these numbers."""
-    count, shared = int(interface.max()) + 1, scene.interfaces
-    normal, offset, index_ratio = shared.normal.repeat(count, 1), shared.offset.repeat(count), shared.index_ratio
-    surfaces = Interfaces(normal, offset, index_ratio.repeat(count))
+    surfaces = scene.interfaces.repeated(int(interface.max()) + 1)
     return replace(scene, interfaces=surfaces, views=replace(scene.views, interface=interface))
