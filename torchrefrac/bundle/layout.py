@@ -62,6 +62,7 @@ class Layout:
         if "radial" in refine and "distortion" in refine:
             raise ValueError("refine has radial and distortion, but the first is part of the second")
         intrinsics, fixed_intrinsics = _varying(scene.cameras, refine)
+        uncertain = scene.interfaces.sigmas if scene.interfaces.refract() else {}
         return cls(
             camera=scene.views.camera,
             interface=scene.views.interface,
@@ -69,7 +70,7 @@ class Layout:
             num_interfaces=len(scene.interfaces),
             num_points=len(scene.points),
             intrinsics=intrinsics,
-            water=tuple(name for name in WATER if name in refine),
+            water=tuple(name for name in water_unknowns(scene.interfaces) if name in refine or name in uncertain),
             fixed_intrinsics=fixed_intrinsics,
             fixed=fixed if fixed is not None and bool(fixed.any()) else None,
             fix_points=fix_points,
@@ -212,8 +213,7 @@ class Layout:
             change = torch.nn.functional.pad(reduced, (0, 1))[self.plane_columns(self.interfaces)]
             plane = interfaces.planes.moved(change[:, :2], change[:, 2])
             normal, offset = plane.normal_like(normal), plane.offset
-        return replace(
-            interfaces,
+        return interfaces.moved(
             normal=normal,
             offset=torch.as_tensor(offset),
             index_ratio=index_ratio,

@@ -225,8 +225,12 @@ def expectations(scene: Scene, layout: Layout, expected: Expectations) -> list[G
         sigma = prior_sigmas(cameras, name, expected)
         if bool(sigma.isfinite().any()):
             terms.append(GlobalPrior(name, stated, sigma))
+    interfaces = scene.interfaces
+    as_stated = scene if interfaces.stated is None else replace(scene, interfaces=interfaces.stated)
     for name in layout.water:
-        if (sigma := expected.sigma_of(name)) is not None:
+        if name in interfaces.sigmas:
+            terms.append(GlobalPrior(name, as_stated, interfaces.sigmas[name]))
+        elif (sigma := expected.sigma_of(name)) is not None:
             terms.append(GlobalPrior(name, scene, sigma))
     return terms
 

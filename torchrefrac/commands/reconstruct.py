@@ -41,12 +41,14 @@ from torchrefrac.sfm import (
     complete_gravity,
     errors_are_rough,
     errors_in_air_and_water,
+    facing_wall,
     fits_better_in_air,
     level_capture,
     reconstruct_sparse,
     verify_pairs,
     with_likely_focals,
     with_right_gravity,
+    with_upright_wall,
 )
 
 ROUGH = "clearly more matches agree within sfm.rough_error, as over waves, which therefore takes the place of max_error"
@@ -79,7 +81,8 @@ def reconstruct(
     """
     options = options or Options()
     survey = survey or survey_of(capture, options)
-    capture = with_measured(capture, survey)
+    measured = with_measured(capture, survey)
+    capture = facing_wall(measured)
     check_levels(survey, capture)
     recorder = recorder or SilentRecorder()
     stage = _Stages(on_stage)
@@ -95,7 +98,7 @@ def reconstruct(
         if bool(given.down_sigma.isinf().any()):
             level = complete_gravity if given.has_gravity else level_capture
             try:
-                capture = stage("levelling", lambda: level(given, *known, recorder))
+                capture = stage("levelling", lambda: with_upright_wall(level(given, *known, recorder), measured))
             except UnknownVerticalError as error:
                 raise ReconstructionError(str(error)) from None
     verify = _Verification(matches, features, ratio, options, generator, recorder)

@@ -11,7 +11,6 @@ from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.evaluate.true_surface import TrueSurface
 from torchrefrac.geometry import Similarity
 from torchrefrac.numerics import segment_sum
-from torchrefrac.refraction import FlatInterface
 from torchrefrac.scene import Scene
 
 WORST = 20  # one in so many, the worst, takes no part in an RMS
@@ -61,7 +60,7 @@ def true_places(scene: Scene, surface: TrueSurface) -> TruePlaces | None:
     meets the surface has no place. None without a true index ratio or intrinsics, or for photographs of another size.
     """
     truth, intrinsics, views = surface.truth, surface.truth.intrinsics, scene.views
-    if intrinsics is None or truth.index_ratio is None or not surface.is_known:
+    if intrinsics is None or truth.interfaces is None or not surface.is_known:
         return None
     number = {name: i for i, name in enumerate(truth.names)}
     theirs = torch.tensor([number.get(name, -1) for name in views.names], dtype=torch.long)
@@ -72,7 +71,7 @@ def true_places(scene: Scene, surface: TrueSurface) -> TruePlaces | None:
     theirs, point, count = theirs[theirs >= 0], observed.point, len(scene.points)
     true_pose = truth.rotation[theirs], truth.center[theirs]
     own = intrinsics.indexed(theirs, (len(truth.names),))
-    cameras = RefractiveCamera(own, *true_pose, FlatInterface(truth.index_ratio), check=False)
+    cameras = RefractiveCamera(own, *true_pose, truth.interfaces.of_views(torch.zeros_like(theirs)), check=False)
     seen = surface.cast(cameras, observed.pixels)
     point = point[seen.valid]
     views = torch.bincount(point, minlength=count)

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.files.fields import Fields, different_names, scene_fields, write_json
 from torchrefrac.files.georeference import GEOREFERENCE, georeference_content, read_georeference
+from torchrefrac.files.interface import INTERFACES, interface_content, read_placed
 from torchrefrac.files.intrinsics import (
     camera_of_images,
     cameras_content,
@@ -29,17 +30,19 @@ from torchrefrac.scene import (
     Interfaces,
     Observations,
     Scene,
-    SceneError,
     Views,
     largest_deviation,
     mean_deviation,
 )
+from torchrefrac.scene.interfaces import SURFACE
 from torchrefrac.scene.tables import PLAIN
 
 CAMERAS, FORMAT, SEVERAL = "cameras.json", "torchrefrac-cameras/1", "torchrefrac-cameras/2"
 """The second format has a table of cameras; the first is written where there is one, with five coefficients."""
 LEVELS = "torchrefrac-cameras/3"
 """The same with several water surfaces, of as many epochs: their heights, and which of them an image has."""
+PLACES = "torchrefrac-cameras/4"
+"""The same with any interfaces: what they are and where, and which of them an image looks through."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,15 +70,12 @@ def write_cameras(scene: Scene, path: Path) -> None:
     """Write poses, intrinsics, index ratio and, where it is known, the covariance of each registered view's centre, in
     squares of the length unit; the frame and the convention of pixels are those of the package, and where the frame
     stands on Earth, if that is known.
-
-    Raises SceneError for water that is not the plane z = 0: the file has no place for it.
     """
-    cameras, views = scene.cameras, scene.views
-    epochs = len(scene.interfaces) > 1
-    several = epochs or len(cameras) != 1 or cameras.models != (PLAIN,) or cameras.coefficients > 5
-    if not (scene.interfaces.is_level or (epochs and scene.interfaces.are_horizontal)):
-        remedy = "write a COLMAP model and water.json"
-        raise SceneError(f"{path} has no place for water that is not the plane z = 0; {remedy}")
+    cameras, views, interfaces = scene.cameras, scene.views, scene.interfaces
+    plain = interfaces.are_horizontal and set(interfaces.kinds) == {SURFACE} and not interfaces.has_layers
+    epochs = plain and len(interfaces) > 1
+    placed = not (epochs or (plain and interfaces.is_level))
+    several = placed or epochs or len(cameras) != 1 or cameras.models != (PLAIN,) or cameras.coefficients > 5
     covariance = scene.assessment.center_covariance
     covariances = iter([] if covariance is None else covariance.tolist())
     images: list[dict[str, object]] = []
@@ -85,6 +85,8 @@ def write_cameras(scene: Scene, path: Path) -> None:
             entry["camera"] = cameras.names[int(views.camera[i])]
         if epochs:
             entry["water"] = int(views.interface[i])
+        elif placed:
+            entry["interface"] = int(views.interface[i])
         if registered:
             entry["cam_from_world_rotation"] = views.rotation[i].tolist()
             entry["center_in_world"] = views.center[i].tolist()
@@ -99,13 +101,15 @@ def write_cameras(scene: Scene, path: Path) -> None:
         "pixel_origin": "corner",
     }
     if epochs:
-        known["water_levels"] = scene.interfaces.offset.tolist()
+        known["water_levels"] = interfaces.offset.tolist()
+    elif placed:
+        known[INTERFACES] = [interface_content(interfaces, row) for row in range(len(interfaces))]
     if scene.georeference is not None:
         known[GEOREFERENCE] = georeference_content(scene.georeference)
     lenses: dict[str, object] = {"cameras": cameras_content(cameras)}
     if not several:
         lenses = {"intrinsics": intrinsics_content(cameras[0])}
-    kind = LEVELS if epochs else SEVERAL if several else FORMAT
+    kind = PLACES if placed else LEVELS if epochs else SEVERAL if several else FORMAT
     write_json({"format": kind, **known, **lenses, "images": images}, path)
 
 
@@ -113,7 +117,7 @@ def read_cameras(path: Path) -> Scene:
     """Read `cameras.json`: the views of a run, registered or not, without points, and of the assessment that of the
     centres. Raises SceneError, with the file and the field, for anything that cannot be right."""
     with scene_fields(path) as top:
-        several = top.must_be("format", FORMAT, SEVERAL, LEVELS) != FORMAT
+        several = top.must_be("format", FORMAT, SEVERAL, LEVELS, PLACES) != FORMAT
         top.must_be("pixel_origin", "corner")
         if top.number("index_ratio") < 1.0:
             raise top.fail("index_ratio", f"is {top.number('index_ratio'):g}, but must be at least 1")
@@ -147,16 +151,22 @@ def read_cameras(path: Path) -> Scene:
 def _water(top: Fields, images: Sequence[Fields]) -> tuple[Interfaces, Int[Tensor, " m"] | None]:
     """The surfaces, and which of them each image has; None where there is one."""
     one = Interfaces.level(top.number("index_ratio"))
+    if top.text("format") == PLACES:
+        surfaces = read_placed(top)
+        return surfaces, _rows(images, "interface", INTERFACES, len(surfaces))
     if top.text("format") != LEVELS:
         return one, None
-    levels = top.number_list("water_levels")
-    rows = [image.integer("water") for image in images]
+    levels = torch.tensor(top.number_list("water_levels"), dtype=torch.float64)
+    surfaces = replace(one.repeated(len(levels)), offset=levels)
+    return surfaces, _rows(images, "water", "water_levels", len(levels))
+
+
+def _rows(images: Sequence[Fields], name: str, table: str, count: int) -> Int[Tensor, " m"]:
+    rows = [image.integer(name) for image in images]
     for image, row in zip(images, rows, strict=True):
-        if not 0 <= row < len(levels):
-            raise image.fail("water", f"is {row}, but must lie in 0 to {len(levels) - 1}, one of water_levels")
-    each = torch.tensor(levels, dtype=torch.float64)
-    surfaces = Interfaces(one.normal.repeat(len(each), 1), each, one.index_ratio.repeat(len(each)))
-    return surfaces, torch.tensor(rows)
+        if not 0 <= row < count:
+            raise image.fail(name, f"is {row}, but must lie in 0 to {count - 1}, one of {table}")
+    return torch.tensor(rows)
 
 
 def _only(intrinsics: Fields) -> Cameras:

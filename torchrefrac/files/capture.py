@@ -11,20 +11,30 @@ from torchrefrac.camera import Intrinsics
 from torchrefrac.files.extent import read_extent
 from torchrefrac.files.fields import Fields, different_names, read_json
 from torchrefrac.files.georeference import GEOREFERENCE, read_georeference
-from torchrefrac.files.interface import read_index_ratio
+from torchrefrac.files.interface import INTERFACES, interface_of_images, read_interfaces
 from torchrefrac.files.intrinsics import camera_of_images, read_cameras_table, read_intrinsics
 from torchrefrac.files.masks import IMAGES, Masks
 from torchrefrac.files.measured import FIELDS as MEASURED
 from torchrefrac.files.measured import read_measured, require_for_all
 from torchrefrac.files.photographs import DamagedPhotographError, check_photograph, read_grey
-from torchrefrac.scene import Cameras, Capture, CaptureError, Interfaces, WaterExtent
+from torchrefrac.scene import Cameras, Capture, CaptureError, WaterExtent
+from torchrefrac.scene.interfaces import SURFACE
 
 FORMAT = "torchrefrac-capture/1"
 SEVERAL = "torchrefrac-capture/2"
 """The format with several cameras, positions, and gravity of some images only."""
 PIXEL_SHIFT = {"center": 0.5, "corner": 0.0}
 OF_SURFACE = ("format", "length_unit", "index_ratio", "pixel_origin", "down_in_cam_sigma_deg", "water_extent", "images")
-OF_CAPTURE = ("folder", "interface", "cameras", "height_sigma", "position_sigma", GEOREFERENCE)
+OF_CAPTURE = (
+    "folder",
+    "interface",
+    INTERFACES,
+    "normal_sigma_deg",
+    "cameras",
+    "height_sigma",
+    "position_sigma",
+    GEOREFERENCE,
+)
 
 
 def load_capture(folder: str | Path) -> Capture:
@@ -51,7 +61,7 @@ def load_capture(folder: str | Path) -> Capture:
     if not several:
         require_for_all(images, "down_in_cam", "heading_deg")
     paths = tuple(folder / top.text("folder", IMAGES) / name for name in names)
-    camera = camera_of_images(images, cameras)
+    camera, interfaces = camera_of_images(images, cameras), read_interfaces(top)
     damaged = _damaged(paths, [cameras[i] for i in camera], [_where(cameras.names[i], several) for i in camera])
     capture = Capture(
         folder=folder,
@@ -59,12 +69,13 @@ def load_capture(folder: str | Path) -> Capture:
         paths=paths,
         cameras=cameras,
         camera=torch.tensor(camera),
-        interfaces=Interfaces.level(read_index_ratio(top)),
+        interfaces=interfaces,
+        interface=interface_of_images(top, images),
         length_unit=top.length_unit(),
         water_extent=_water_extent(top, images),
         georeference=read_georeference(top),
         **_epochs(images),
-        **read_measured(top, images),
+        **read_measured(top, images, may_be_level=interfaces.kinds != (SURFACE,)),
     )
     whole = [i for i, path in enumerate(paths) if path not in damaged]
     if len(whole) < 2:
@@ -100,7 +111,11 @@ def pixel_shift(top: Fields, origin: str) -> float:
 
 def _names(images: list[Fields], several: bool) -> tuple[str, ...]:
     """Those of the images, all of whose fields must be known."""
-    known = ("camera", "epoch", *MEASURED) if several else ("down_in_cam", "height", "heading_deg", "center_prior")
+    known = (
+        ("camera", "epoch", "interface", *MEASURED)
+        if several
+        else ("down_in_cam", "height", "heading_deg", "center_prior")
+    )
     for image in images:
         image.only("name", *known, "water_extent")
         name = image.text("name")

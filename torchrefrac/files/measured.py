@@ -10,22 +10,29 @@ from torchrefrac.files.fields import FARTHEST, Fields
 from torchrefrac.scene.capture import RELATIVE_HEIGHT_SIGMA
 
 UNIT_TOLERANCE = 1e-3
-OPTICAL_AXIS = [0.0, 0.0, 1.0]
+OPTICAL_AXIS, OPPOSITE = [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]
 LEAST_HEIGHT, MOST_HEIGHT = 1e-9, 1e9  # in any unit; the sixth powers that covariances need have an exponent
 MOST_SIGMA_DEG = 30.0
 UNKNOWN = [math.inf] * 3
 FIELDS = (
-    "down_in_cam", "down_in_cam_sigma_deg", "height", "height_sigma", "position", "position_sigma", "heading_deg",
+    "down_in_cam", "down_in_cam_sigma_deg", "normal_in_cam", "normal_sigma_deg", "height", "height_sigma", "position",
+    "position_sigma", "heading_deg",
 )  # fmt: skip
 
 
-def read_measured(top: Fields, images: Sequence[Fields]) -> dict[str, Any]:
-    """The fields of a `Capture` that hold it. A sigma that an image does not state is that of all."""
-    down = [_gravity(image) for image in images]
+def read_measured(top: Fields, images: Sequence[Fields], may_be_level: bool = False) -> dict[str, Any]:
+    """The fields of a `Capture` that hold it. A sigma that an image does not state is that of all. may_be_level: the
+    interface is no water below the cameras, which need not look down then."""
+    down = [_gravity(image, may_be_level) for image in images]
+    normal = [_normal(image) for image in images]
     heights = [_height(image) for image in images]
     numbers = {
         "down_in_cam": [OPTICAL_AXIS if one is None else one for one in down],
         "down_sigma": [math.inf if "down_in_cam" not in image else _down_sigma(top, image) for image in images],
+        "normal_in_cam": [OPPOSITE if one is None else one for one in normal],
+        "normal_sigma": [
+            math.inf if one is None else _normal_sigma(top, i) for i, one in zip(images, normal, strict=True)
+        ],
         "height": [height or 1.0 for height in heights],
         "height_sigma": [_height_sigma(top, *each) for each in zip(images, heights, strict=True)],
         "position": [image.position("position") if "position" in image else [0.0] * 3 for image in images],
@@ -50,26 +57,48 @@ def require_for_all(images: Sequence[Fields], *names: str) -> None:
         raise missing[0].fail(name, problem)
 
 
-def _gravity(image: Fields) -> list[float] | None:
-    if "down_in_cam" not in image:
-        return None
-    down = image.numbers("down_in_cam", 3)
-    norm = sum(x * x for x in down) ** 0.5
-    if abs(norm - 1.0) > UNIT_TOLERANCE:
-        raise image.fail("down_in_cam", f"has length {norm:.4f}, but must be a unit vector (within {UNIT_TOLERANCE:g})")
-    if down[2] <= 0.0:
+def _gravity(image: Fields, may_be_level: bool) -> list[float] | None:
+    down = _unit(image, "down_in_cam")
+    if down is not None and down[2] <= 0.0 and not may_be_level:
         wanted = "with camera z forward its third component must be above 0"
         raise image.fail("down_in_cam", f"is {down}, a camera that looks at the sky; {wanted}")
-    return [x / norm for x in down]
+    return down
+
+
+def _normal(image: Fields) -> list[float] | None:
+    """Of the wall that an image looks through."""
+    normal = _unit(image, "normal_in_cam")
+    if normal is not None and normal[2] >= 0.0:
+        raise image.fail(
+            "normal_in_cam", f"is {normal}, but must point towards the camera: its third component below 0"
+        )
+    return normal
+
+
+def _unit(image: Fields, name: str) -> list[float] | None:
+    if name not in image:
+        return None
+    vector = image.numbers(name, 3)
+    norm = sum(x * x for x in vector) ** 0.5
+    if abs(norm - 1.0) > UNIT_TOLERANCE:
+        raise image.fail(name, f"has length {norm:.4f}, but must be a unit vector (within {UNIT_TOLERANCE:g})")
+    return [x / norm for x in vector]
 
 
 def _down_sigma(top: Fields, image: Fields) -> float:
+    return _angle(top, image, "down_in_cam_sigma_deg")
+
+
+def _normal_sigma(top: Fields, image: Fields) -> float:
+    return _angle(top, image, "normal_sigma_deg")
+
+
+def _angle(top: Fields, image: Fields, name: str) -> float:
     """In radians."""
-    fields = _own_or_common(top, image, "down_in_cam_sigma_deg")
-    sigma = fields.number("down_in_cam_sigma_deg")
+    fields = _own_or_common(top, image, name)
+    sigma = fields.number(name)
     if not 0.0 < sigma <= MOST_SIGMA_DEG:
-        wanted = f"must be above 0 and at most {MOST_SIGMA_DEG:g} degrees"
-        raise fields.fail("down_in_cam_sigma_deg", f"is {sigma:g}, but {wanted}")
+        raise fields.fail(name, f"is {sigma:g}, but must be above 0 and at most {MOST_SIGMA_DEG:g} degrees")
     return math.radians(sigma)
 
 

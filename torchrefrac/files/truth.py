@@ -13,7 +13,7 @@ from torchrefrac.camera import Intrinsics
 from torchrefrac.files.capture import read_capture_cameras
 from torchrefrac.files.extent import read_extent
 from torchrefrac.files.fields import Fields, read_json
-from torchrefrac.files.interface import read_index_ratio
+from torchrefrac.files.interface import INTERFACE, read_interfaces
 from torchrefrac.files.intrinsics import camera_of_images
 from torchrefrac.files.npz import read_arrays
 from torchrefrac.geometry.triangle_mesh import TriangleMesh
@@ -26,7 +26,7 @@ CENTER_OF_FIRST_PIXEL = 0.5  # the file counts from the centre of the first pixe
 def load_truth(folder: str | Path, with_surface: bool = True) -> Truth | None:
     """Read `folder`/truth.json; None where there is none.
 
-    The index ratio is that of truth.json, or else, as always the intrinsics, that of the capture.json beside it, if
+    The interface is that of truth.json, or else, as always the intrinsics, that of the capture.json beside it, if
     there is one; intrinsics that are uncertain there are not known. `surface` names a file of triangles beside it that
     trimesh can read; it is left out unless with_surface. Raises CaptureError where a file is damaged, or the one of the
     surface is missing.
@@ -39,7 +39,7 @@ def load_truth(folder: str | Path, with_surface: bool = True) -> Truth | None:
     images = top.objects("images")
     planes = top.objects("planes") if "planes" in top else []
     capture = read_json(folder / "capture.json") if (folder / "capture.json").is_file() else None
-    ratio_from = top if "index_ratio" in top else capture
+    ratio_from = top if "index_ratio" in top or INTERFACE in top else capture
 
     def table(rows: list[list[float]]) -> Float[Tensor, "n 3"]:
         return torch.tensor(rows, dtype=torch.float64).reshape(-1, 3)
@@ -53,7 +53,7 @@ def load_truth(folder: str | Path, with_surface: bool = True) -> Truth | None:
         edge1=table([plane.position("e1") for plane in planes]),
         edge2=table([plane.position("e2") for plane in planes]),
         length_unit=top.length_unit(),
-        index_ratio=None if ratio_from is None else read_index_ratio(ratio_from),
+        interfaces=None if ratio_from is None else read_interfaces(ratio_from),
         intrinsics=None if capture is None else _intrinsics(capture, names),
         folder=folder,
         water_extent=read_extent(top),

@@ -1,6 +1,6 @@
 """Interfaces: the flat layers through which views look."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -34,7 +34,10 @@ class Interfaces:
 
     Between air and water there may be `layers`, as of glass: their indices n / n_air, and their thickness in the unit
     of the scene; an interface with fewer of them than others has some of thickness 0. By default there are none.
-    kinds: what each is, see KINDS; by default surfaces of water.
+    kinds: what each is, see KINDS; by default surfaces of water. sigmas: how uncertain what is stated is, by names of
+    unknowns of an adjustment ("index_ratio", "layer_index", "layer_thickness", "plane_tilt" in radians,
+    "plane_height"), which then vary, or "upright", in radians, of walls. stated: what is uncertain by that, where the
+    numbers have been changed since; None: these.
     """
 
     normal: Float[Tensor, "e 3"]
@@ -43,6 +46,8 @@ class Interfaces:
     layers: Float[Tensor, "e k"] = field(default_factory=_none)
     thickness: Float[Tensor, "e k"] = field(default_factory=_none)
     kinds: tuple[Kind, ...] = ()
+    sigmas: Mapping[str, float] = field(default_factory=dict)
+    stated: "Interfaces | None" = None
 
     def __post_init__(self) -> None:
         if not len(self.layers):
@@ -136,9 +141,40 @@ class Interfaces:
         """Whether any of them bends a ray."""
         return bool((self.index_ratio > 1.0).any())
 
+    def lift(self) -> Float[Tensor, " e"]:
+        """What the layers add to the height of a camera that sees water along their normal; it is negative for those
+        that are denser than water (mathematics: T(m) at m = 0)."""
+        return (self.thickness * (1.0 / self.layers - 1.0 / self.index_ratio[:, None])).sum(dim=-1)
+
     def detached(self) -> "Interfaces":
         """The same without a graph."""
         return replace(self, **{name: getattr(self, name).detach() for name in TENSORS})
+
+    @classmethod
+    def joined(cls, every: "Sequence[Interfaces]") -> "Interfaces":
+        """Several tables as one; what is uncertain of any is of all."""
+        count = max(one.layers.shape[-1] for one in every)
+
+        def padded(values: Float[Tensor, "e k"], by: float) -> Float[Tensor, "e {count}"]:
+            return torch.nn.functional.pad(values, (0, count - values.shape[-1]), value=by)
+
+        return cls(
+            *(torch.cat([getattr(one, name) for one in every]) for name in ("normal", "offset", "index_ratio")),
+            torch.cat([padded(one.layers, 1.0) for one in every]),
+            torch.cat([padded(one.thickness, 0.0) for one in every]),
+            tuple(kind for one in every for kind in one.kinds),
+            {name: sigma for one in every for name, sigma in one.sigmas.items()},
+        )
+
+    def moved(self, **tensors: Float[Tensor, "e *width"]) -> "Interfaces":
+        """With other numbers than were stated."""
+        return replace(self, **tensors, stated=self.stated or self)
+
+    def with_index_ratio(self, ratio: float) -> "Interfaces":
+        """With another water; at a ratio of 1, which is that of a scene without refraction, without layers, too."""
+        if ratio <= 1.0:
+            return Interfaces.level(1.0).repeated(len(self))
+        return replace(self, index_ratio=torch.full_like(self.index_ratio, ratio))
 
     def repeated(self, count: int) -> "Interfaces":
         """The one interface as many times."""
@@ -147,7 +183,8 @@ class Interfaces:
 
     def scaled(self, by: float | Float[Tensor, ""]) -> "Interfaces":
         """The same in another unit: lengths are so many times what they were."""
-        return replace(self, offset=by * self.offset, thickness=by * self.thickness)
+        stated = self.stated and self.stated.scaled(by)
+        return replace(self, offset=by * self.offset, thickness=by * self.thickness, stated=stated)
 
 
 TENSORS = ("normal", "offset", "index_ratio", "layers", "thickness")

@@ -160,7 +160,7 @@ class Scene:
         return cls(
             cameras=capture.cameras,
             views=Views(capture.names, Rigid.identity(m), capture.camera, capture.interface, posed),
-            interfaces=replace(interfaces, index_ratio=torch.full_like(interfaces.index_ratio, index_ratio)),
+            interfaces=interfaces.with_index_ratio(index_ratio),
             points=torch.zeros(n, 3, dtype=torch.float64),
             colors=colors,
             placed=torch.zeros(n, dtype=torch.bool),

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry.triangle_mesh import TriangleMesh
+from torchrefrac.scene.interfaces import Interfaces
 
 
 @dataclass(frozen=True)
@@ -16,7 +17,8 @@ class Truth:
     """True cameras by the names of their photographs; planes as rectangles.
 
     rotation: cam_from_world. A plane is corner + s edge1 + t edge2 with s and t from 0 to 1. The water surface, where
-    there is one, is z = 0; index_ratio is n_water / n_air, intrinsics those of all photographs or, as a batch, of each,
+    there is one, or the wall, is z = 0; interfaces has the one that all look through, None where it is not known;
+    intrinsics are those of all photographs or, as a batch, of each,
     None where they are not known. surface: all that cameras see, the planes among it, as triangles; None: there are
     only the planes. water_extent: corners of the water as seen from above; None: it is everywhere. folder: where it was
     read from.
@@ -29,11 +31,16 @@ class Truth:
     edge1: Float[Tensor, "k 3"]
     edge2: Float[Tensor, "k 3"]
     length_unit: str
-    index_ratio: float | None = None
+    interfaces: Interfaces | None = None
     intrinsics: Intrinsics | None = None
     surface: TriangleMesh | None = None
     water_extent: Float[Tensor, "c 2"] | None = None
     folder: Path | None = None
+
+    @property
+    def index_ratio(self) -> float | None:
+        """n_water / n_air; None where it is not known."""
+        return None if self.interfaces is None else float(self.interfaces.index_ratio[0])
 
     @property
     def normal(self) -> Float[Tensor, "k 3"]:

@@ -19,6 +19,7 @@ from torchrefrac.sfm.triangulate import triangulate
 from torchrefrac.sfm.unmodelled import errors_in_air_and_water, fits_better_in_air
 from torchrefrac.sfm.verification import VerifiedPair, errors_are_rough, verify_pairs
 from torchrefrac.sfm.vertical import UnknownVerticalError, complete_gravity, level_capture
+from torchrefrac.sfm.walls import facing_wall, gravity_in_world, looks_through_wall, with_upright_wall
 from torchrefrac.sfm.water_level import with_found_level
 from torchrefrac.sfm.water_normal import with_found_normal
 
@@ -26,8 +27,8 @@ __all__ = [
     "Adjustment", "Filtering", "NoInitialPairError", "Outcome", "PairPose", "PinholeInitializer", "Placed", "Pose",
     "PoseInitializer", "ReadjustOptions", "RefractiveInitializer", "Registration", "Rules", "SfmOptions", "Start",
     "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal", "check_levels",
-    "complete_gravity", "errors_are_rough", "errors_in_air_and_water", "filter_points", "fits_better_in_air",
-    "level_capture", "placed_in_survey", "readjust", "reconstruct_sparse", "register", "start", "triangulate",
-    "upright", "verify_pairs", "with_found_level", "with_found_normal", "with_likely_focals", "with_noise_found",
-    "with_right_gravity",
+    "complete_gravity", "errors_are_rough", "errors_in_air_and_water", "facing_wall", "filter_points",
+    "fits_better_in_air", "gravity_in_world", "level_capture", "looks_through_wall", "placed_in_survey", "readjust",
+    "reconstruct_sparse", "register", "start", "triangulate", "upright", "verify_pairs", "with_found_level",
+    "with_found_normal", "with_likely_focals", "with_noise_found", "with_right_gravity", "with_upright_wall",
 ]  # fmt: skip

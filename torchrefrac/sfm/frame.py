@@ -23,8 +23,9 @@ def final_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Simi
     """What puts the first registered view at x = y = 0 with heading 0, and scales to the measured heights.
 
     Through water the scale is that of the measured camera heights which agree, see `fit_heights` (or makes the first
-    height 1), unless the scene has one; plane and vertical stay. Without refraction neither can be seen: the frame is
-    levelled by the mean of the gravity vectors, the first camera put at its height (or 1), and the scale left as it is.
+    height 1), unless the scene has one, as by layers of known thickness; plane and vertical stay. Without refraction
+    neither can be seen: the frame is levelled by the mean of the gravity vectors, the first camera put at its height
+    (or 1), and the scale left as it is.
     """
     views = scene.views
     registered = views.registered.nonzero()[:, 0]
@@ -36,7 +37,7 @@ def final_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Simi
     center = views.center[registered] @ rotation.T
     measured = capture.has_height[registered]
     scale, lift = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
-    if refractive and not has_scale:
+    if refractive and not has_scale and not scene.interfaces.has_layers:
         rows = registered[measured]
         stated = capture.height[rows], capture.height_sigma[rows]
         scale = fit_heights(center[measured, 2], *stated).scale if len(rows) else 1.0 / center[0, 2]

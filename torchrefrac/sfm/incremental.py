@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from torchrefrac.bundle import GravityPrior, Term
+from torchrefrac.bundle import GravityPrior, HeightPrior, Term
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.features import Features
 from torchrefrac.optim import LevenbergMarquardtOptions
@@ -131,6 +131,10 @@ class _Growth:
         terms: list[Term] = []
         if part.scene.interfaces.refract() or self.in_place:
             terms.append(GravityPrior(self.capture.down_in_cam[part.view], self.down_sigma[part.view]))
+        if part.scene.interfaces.has_layers:  # whose thickness is in the unit of the capture
+            rows = self.capture.has_height[part.view].nonzero()[:, 0]
+            which = part.view[rows]
+            terms.append(HeightPrior(rows, self.capture.height[which], self.capture.height_sigma[which]))
         return terms if self.frame is None else [*terms, *self.frame.terms(part)]
 
     def start(self, empty: Scene, pairs: Sequence[VerifiedPair]) -> Scene:

@@ -14,10 +14,17 @@ from torchrefrac.scene import Capture
 from torchrefrac.sfm.pose import PairPose, Pixels, Pose, judge_pair
 from torchrefrac.sfm.rules import SfmOptions
 
+THICK = 25.0
+"""Times the layers before the water, of a first height that nobody states."""
+
 
 @dataclass(frozen=True)
 class RefractiveInitializer:
-    """LO-MSAC over the solvers with known vertical; the optimisation in it has gravity as a prior."""
+    """LO-MSAC over the solvers with known vertical; the optimisation in it has gravity as a prior.
+
+    Layers between air and water add a number to the height of the camera that hardly depends on the ray: here it is
+    that of rays along the normal, which is right to some hundredths of a pixel through glass a hand's breadth away.
+    """
 
     capture: Capture
     index_ratio: float
@@ -43,7 +50,11 @@ class RefractiveInitializer:
         if report.status != "success":
             return None
         rotation, center = (part[0] for part in views.poses(report.model[None]))
-        return judge_pair(Rigid(rotation, center), pixels, intrinsics, self._ratio, self.options.ransac.max_error, dry)
+        pose = Rigid(rotation, center)
+        judged = judge_pair(pose, pixels, intrinsics, self._ratio, self.options.ransac.max_error, dry)
+        return (
+            judged if judged.center is None else replace(judged, center=self._before_layers(judged.center, images[0]))
+        )
 
     def absolute(
         self,
@@ -66,7 +77,21 @@ class RefractiveInitializer:
         if report.status != "success":
             return None
         rotation, center = (part[0] for part in view.poses(report.model[None]))
-        return Pose(rotation, center, report.inliers)
+        return Pose(rotation, center - self._lift, report.inliers)
+
+    def _before_layers(self, center: Float[Tensor, "2 3"], first: int) -> Float[Tensor, "2 3"]:
+        """Centres of a pair, of which that of image `first` is at height 1, in the unit of the layers, if there are
+        any, and as high as they are before them."""
+        if not self.capture.interfaces.has_layers:
+            return center
+        stated, layers = self.capture.height[first], self.capture.interfaces.thickness.sum(dim=-1).max()
+        unit = torch.where(self.capture.has_height[first], stated, THICK * layers)
+        return (unit + self._lift[2]) * center - self._lift
+
+    @property
+    def _lift(self) -> Float[Tensor, "3"]:
+        """By how much higher cameras seem to stand before the layers, along the normal."""
+        return self.capture.interfaces.lift()[0] * torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
 
     def _dry(self, images: tuple[int, int], pixels: Pixels) -> Bool[Tensor, " k"] | None:
         """Which matches look past the water, where its extent is drawn; None where none do."""
