@@ -157,7 +157,7 @@ def _kinds(problem: BundleProblem, scene: Scene) -> tuple[_Kind, ...]:
     seen, views = problem.seen, scene.views
     widest, precision = float(max(width for width, _ in scene.cameras.sizes)), seen.precision
     lens = _Kind(seen.pixels, views.camera[seen.view], widest, precision)
-    if not scene.interfaces.refract():
+    if not scene.interfaces.stand_in_world:
         return (lens,)
     slope = surface_slope(scene, seen)
     wet = (slope.by_slope != 0.0).any(dim=(1, 2))

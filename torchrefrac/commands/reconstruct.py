@@ -31,6 +31,7 @@ from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Capture, Scene, Survey, SurveyError, Truth, WarningCode, with_measured
 from torchrefrac.sfm import (
     PinholeInitializer,
+    PortInitializer,
     PoseInitializer,
     RefractiveInitializer,
     SfmOptions,
@@ -91,7 +92,7 @@ def reconstruct(
     features = stage("features", lambda: _extract(capture, options, recorder))
     matches = stage.part("matching", lambda: _match(features, options, recorder))
     ratio, stated = options.water.ratio_of(capture.index_ratio), capture
-    if options.model.name == "refractive" and ratio > 1.0:
+    if options.model.name == "refractive" and ratio > 1.0 and not capture.interfaces.move_with_camera:
         known = matches, features, ratio, options.sfm
         capture = stage.part("matching", lambda: with_likely_focals(stated, *known))
         given = capture
@@ -128,8 +129,10 @@ def reconstruct(
         if found.index_ratio <= 1.0:
             known = replace(known, in_air_and_water=errors_in_air_and_water(found, stated))
         elif (
-            focal := better_focal(found, replace(stated, cameras=found.cameras), matches, features, verified.sfm)
-        ) is not None:
+            found.interfaces.stand_in_world
+            and (focal := better_focal(found, replace(stated, cameras=found.cameras), matches, features, verified.sfm))
+            is not None
+        ):
             known = replace(known, wished={"focal": focal})
         place = stated.georeference or survey.georeference if known.lowered_by is not None else None
         found = replace(found, assessment=known, georeference=place and place.raised(known.lowered_by or 0.0))
@@ -172,7 +175,7 @@ def run(
             advance(1, "")
             files.complete(scene, metrics, truth, alignment)
             advance(1, "")
-        if options.compare_land and scene.interfaces.refract():
+        if options.compare_land and scene.interfaces.stand_in_world:
             recorder.note("the same without refraction, to compare the land")
             in_air = replace(options, water=WaterOptions(index_ratio=1.0))
             files.metrics |= land_difference(scene, reconstruct(capture, in_air, recorder, survey=survey))
@@ -234,7 +237,8 @@ def _initializer(
     if ratio == 1.0:
         recorder.note("index ratio 1: there is no refraction to see the water by, so poses are those of a pinhole")
         return PinholeInitializer(capture, sfm), sfm
-    return RefractiveInitializer(capture, ratio, sfm), sfm
+    make = PortInitializer if capture.interfaces.move_with_camera else RefractiveInitializer
+    return make(capture, ratio, sfm), sfm
 
 
 def _extract(capture: Capture, options: Options, recorder: Recorder) -> list[Features]:

@@ -48,7 +48,7 @@ def contradictions(scene: Scene, stated: Capture) -> tuple[Finding, ...]:
     given, about_files = about_given(scene), (*_damaged(stated), *_duplicates(stated))
     if _lens_is_grossly_wrong(scene):
         return (*given, *about_files)  # what else is wrong follows from that
-    if scene.index_ratio > 1.0:
+    if scene.interfaces.stand_in_world:
         about_water = (*_outside_water(scene, stated), *([] if given else _surface(scene)))
         given = (*given, *about_water, *_gravity(scene, stated), *_heights(scene, stated))
     return (*given, *about_files, *about_images(scene))

@@ -119,7 +119,7 @@ def evaluate(scene: Scene, truth: Truth) -> tuple[dict[str, float | int | str], 
     views = scene.views
     common = [(i, truth.names.index(name)) for i, name in enumerate(views.names) if name in truth.names]
     rows = [(i, j) for i, j in common if bool(views.registered[i])]
-    refractive = scene.interfaces.refract()
+    refractive = scene.interfaces.stand_in_world
     if len(rows) < (2 if refractive else MIN_SIMILARITY_CAMERAS):
         return known | {"alignment": "none: too few registered cameras"}, None
     ours, theirs = (torch.tensor(column) for column in zip(*rows, strict=True))

@@ -22,7 +22,7 @@ def level_metrics(scene: Scene) -> dict[str, Any]:
     sigma, and weight_percent, how much it decided, by inverse variances: levels stated, and the rest.
     """
     known, unit = scene.assessment, scene.length_unit
-    if not scene.interfaces.refract():
+    if not scene.interfaces.stand_in_world:
         return {}
     found: dict[str, Any] = {}
     if known.lowered_by is not None:
@@ -39,7 +39,7 @@ def level_metrics(scene: Scene) -> dict[str, Any]:
 
 def level_contradictions(scene: Scene, known: Surveyed, lowered: float | None) -> tuple[Finding, ...]:
     """Stated levels of the water that everything else contradicts. lowered: see `Assessment.lowered_by`."""
-    if not known.stated.level_sources or not scene.interfaces.refract():
+    if not known.stated.level_sources or not scene.interfaces.stand_in_world:
         return ()
     sigma, unit = scene.assessment.level_sigma, scene.length_unit
     if sigma is None and lowered is not None:

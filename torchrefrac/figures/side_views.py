@@ -39,7 +39,7 @@ def side_view(model: str, scene: Scene, aligned: Similarity | None, metrics: Map
         points, centers = aligned.apply(points), aligned.apply(centers)
     error = metrics.get(f"camera_rms_{unit}")
     caption = f"{len(points)} points" + (f", camera error {error:.3g} {unit} RMS" if error is not None else "")
-    known_frame = aligned is not None or scene.index_ratio > 1.0
+    known_frame = aligned is not None or scene.interfaces.stand_in_world
     return SideView(TITLES.get(model, model), caption, points, centers, unit, known_frame)
 
 

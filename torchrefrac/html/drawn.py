@@ -114,7 +114,7 @@ def draw_attitude(run: RunContents) -> Drawn | None:
 
 def draw_residuals(residuals: Residuals, scene: Scene) -> list[Drawn]:
     """By image and by angle of incidence."""
-    water = scene.index_ratio > 1.0
+    water = scene.interfaces.stand_in_world
     by_angle = "angle at which the ray met the water (0° is straight down)" if water else "angle from the vertical"
     return [
         Drawn(
@@ -138,7 +138,7 @@ def draw_residuals(residuals: Residuals, scene: Scene) -> list[Drawn]:
 def draw_shift(run: RunContents) -> Drawn | None:
     """Refraction shift map; None where the model has no water or no point lies in it."""
     scene = run.scene
-    if scene is None or scene.index_ratio <= 1.0:
+    if scene is None or not scene.interfaces.stand_in_world:
         return None
     depth = typical_depth(scene)
     if depth <= 0.0:

@@ -146,6 +146,11 @@ class Interfaces:
         that are denser than water (mathematics: T(m) at m = 0)."""
         return (self.thickness * (1.0 / self.layers - 1.0 / self.index_ratio[:, None])).sum(dim=-1)
 
+    @property
+    def stand_in_world(self) -> bool:
+        """Whether rays are bent at planes that stand still, so that these show where the world is level to them."""
+        return self.refract() and not self.move_with_camera
+
     def detached(self) -> "Interfaces":
         """The same without a graph."""
         return replace(self, **{name: getattr(self, name).detach() for name in TENSORS})

@@ -9,6 +9,7 @@ from torchrefrac.sfm.incremental import NoInitialPairError, reconstruct_sparse
 from torchrefrac.sfm.outcome import Adjustment, Filtering, Outcome, Registration, Start, Triangulation
 from torchrefrac.sfm.pinhole import PinholeInitializer
 from torchrefrac.sfm.placing import Placed, placed_in_survey, upright
+from torchrefrac.sfm.ports import PortInitializer
 from torchrefrac.sfm.pose import PairPose, Pose, PoseInitializer
 from torchrefrac.sfm.readjust import readjust
 from torchrefrac.sfm.refractive import RefractiveInitializer
@@ -24,10 +25,10 @@ from torchrefrac.sfm.water_level import with_found_level
 from torchrefrac.sfm.water_normal import with_found_normal
 
 __all__ = [
-    "Adjustment", "Filtering", "NoInitialPairError", "Outcome", "PairPose", "PinholeInitializer", "Placed", "Pose",
-    "PoseInitializer", "ReadjustOptions", "RefractiveInitializer", "Registration", "Rules", "SfmOptions", "Start",
-    "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal", "check_levels",
-    "complete_gravity", "errors_are_rough", "errors_in_air_and_water", "facing_wall", "filter_points",
+    "Adjustment", "Filtering", "NoInitialPairError", "Outcome", "PairPose", "PinholeInitializer", "Placed",
+    "PortInitializer", "Pose", "PoseInitializer", "ReadjustOptions", "RefractiveInitializer", "Registration", "Rules",
+    "SfmOptions", "Start", "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal",
+    "check_levels", "complete_gravity", "errors_are_rough", "errors_in_air_and_water", "facing_wall", "filter_points",
     "fits_better_in_air", "gravity_in_world", "level_capture", "looks_through_wall", "placed_in_survey", "readjust",
     "reconstruct_sparse", "register", "start", "triangulate", "upright", "verify_pairs", "with_found_level",
     "with_found_normal", "with_likely_focals", "with_noise_found", "with_right_gravity", "with_upright_wall",

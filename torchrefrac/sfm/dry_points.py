@@ -84,7 +84,7 @@ def find_dry(scene: Scene, rules: Rules, stated: Int[Tensor, " n"] | None = None
     water must be nearly right. stated: see `stated_sides`. Where nothing is, None also if next to no track speaks for
     water: then its index ratio, or that there is water at all, is in doubt, and not where it ends.
     """
-    if not scene.interfaces.refract():
+    if not scene.interfaces.stand_in_world:
         return None
     length, sigma = scene.sightings(), keypoint_sigma(scene)
     tracks = int((length >= ENOUGH_VIEWS).sum())
@@ -125,7 +125,7 @@ def stated_sides(scene: Scene, extent: WaterExtent, final: Similarity | None) ->
 
 def disputed(scene: Scene, rules: Rules, stated: Int[Tensor, " n"]) -> tuple[int, int]:
     """How many tracks are clearly seen straight though stated to be under water, and the other way round."""
-    if not scene.interfaces.refract():
+    if not scene.interfaces.stand_in_world:
         return 0, 0
     found = evidence(scene, scene.sightings() >= ENOUGH_VIEWS, rules, keypoint_sigma(scene))
     sides = stated[found.ids]

@@ -16,7 +16,8 @@ def fix_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Scene:
     if not scene.views.num_registered:
         return scene
     change = final_frame(scene, capture, has_scale)
-    return (transformed if len(scene.interfaces) == 1 else moved)(scene, change)
+    together = len(scene.interfaces) == 1 or scene.interfaces.move_with_camera
+    return (transformed if together else moved)(scene, change)
 
 
 def final_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Similarity:
@@ -29,7 +30,7 @@ def final_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Simi
     """
     views = scene.views
     registered = views.registered.nonzero()[:, 0]
-    refractive = scene.index_ratio > 1.0
+    refractive = scene.interfaces.stand_in_world
     level = torch.eye(3, dtype=torch.float64) if refractive else mean_level(scene, capture)
     first = registered[0]
     _, heading = split_heading(views.rotation[first] @ level.T)

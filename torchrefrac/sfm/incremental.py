@@ -129,7 +129,7 @@ class _Growth:
     def measured(self, part: Part) -> Sequence[Term]:
         """Gravity where there is something to see the vertical by, and the survey, once the scene is in its frame."""
         terms: list[Term] = []
-        if part.scene.interfaces.refract() or self.in_place:
+        if part.scene.interfaces.stand_in_world or self.in_place:
             terms.append(GravityPrior(self.capture.down_in_cam[part.view], self.down_sigma[part.view]))
         if part.scene.interfaces.has_layers:  # whose thickness is in the unit of the capture
             rows = self.capture.has_height[part.view].nonzero()[:, 0]
@@ -197,7 +197,7 @@ class _Growth:
         length = affordable_length(scene, self.rules, self.options.min_track_length)
         rules = replace(self.rules, min_track_length=length)
         scene = self._converged(scene, rules)
-        for _ in range(self.options.final_rounds if scene.index_ratio > 1.0 else 0):
+        for _ in range(self.options.final_rounds if scene.interfaces.stand_in_world else 0):
             wrong = worst_gravity(scene, self.capture.down_in_cam, self.down_sigma)
             if bool(wrong.any()):  # unless errors that observations have in common explain it
                 sigma = torch.hypot(self.down_sigma, common_tilt(scene, self.final, self.fixed))
@@ -219,7 +219,7 @@ class _Growth:
         if found is None:
             return scene
         scene, self.frame = found
-        if scene.interfaces.refract() and self.in_place:
+        if scene.interfaces.stand_in_world and self.in_place:
             self.rules = replace(self.rules, bundle=with_height(self.rules.bundle))
         return self._at_zero(self._converged(scene, self._needing(length)))
 
@@ -242,7 +242,7 @@ class _Growth:
 
     def _with_epochs(self, scene: Scene, length: int) -> Scene:
         """With a water surface of its own, at a level of its own, for each epoch."""
-        if len(self.capture.epochs) < 2 or not scene.interfaces.refract():
+        if len(self.capture.epochs) < 2 or not scene.interfaces.stand_in_world:
             return scene
         self.rules = replace(self.rules, bundle=with_height(self.rules.bundle))
         each = with_surfaces(scene, self.capture.epoch)
@@ -253,7 +253,7 @@ class _Growth:
         if self.frame is None or not self.in_place or not len(self.frame.stated.level):
             return scene
         sigma = assess_scene(scene, self.final, self.fixed).level_sigma
-        if sigma is None or not scene.interfaces.refract():
+        if sigma is None or not scene.interfaces.stand_in_world:
             return scene
         agree = StatedLevels.of(self.frame.stated, scene).agree_with(scene.interfaces.offset, sigma)
         if not bool(agree.any()):
@@ -263,7 +263,7 @@ class _Growth:
 
     def _at_zero(self, scene: Scene) -> Scene:
         """With the water at z = 0, and the survey likewise."""
-        if not scene.interfaces.refract():
+        if not scene.interfaces.stand_in_world:
             return scene
         scene, by = with_water_at_zero(scene)
         self.frame = self.frame and self.frame.lowered(by)

@@ -33,7 +33,7 @@ def with_levels(assessment: Assessment, scene: Scene, rules: Rules, fixed: Mappi
     focal length then. fixed: what an adjustment refused to refine."""
     part = scene.part()
     m, sigma = len(part.view), assessment.pixel_sigma
-    if m < FEWEST_VIEWS or sigma is None or len(scene.interfaces) > 1 or scene.index_ratio <= 1.0:
+    if m < FEWEST_VIEWS or sigma is None or len(scene.interfaces) > 1 or not scene.interfaces.stand_in_world:
         return assessment
     each = with_surfaces(part.scene, torch.arange(m))
     refined = (name for name in rules.bundle.refine if name not in fixed)

@@ -57,7 +57,7 @@ def placed_in_survey(
     if len(as_it_stands) and float(as_it_stands.deviations().max()) <= usual:
         return Placed(scene)
     down, air = mean_down(scene, survey), torch.ones_like(scene.interfaces.index_ratio)
-    if down is None and scene.interfaces.refract() and not water_is_in_place:
+    if down is None and scene.interfaces.stand_in_world and not water_is_in_place:
         down = -scene.interfaces.normal[0]
     level = None if down is None else levelling(down)
     dry = replace(scene, interfaces=replace(scene.interfaces, index_ratio=air))

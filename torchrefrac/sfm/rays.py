@@ -101,10 +101,12 @@ class Tracks(NamedTuple):
         return height
 
     def _height(self, points: Float[Tensor, "t 3"], table: Int[Tensor, "t n"]) -> Float[Tensor, " t"]:
-        """Mean height of points above the surfaces that their observations look through."""
+        """Mean height of points above the surfaces that their observations look through; -inf beyond ports."""
         scene = self.scene
         if scene.interfaces.is_level:
             return points[..., 2]
+        if scene.interfaces.move_with_camera:
+            return torch.full_like(points[..., 2], -torch.inf)
         interface = scene.views.interface[scene.observations.view[self.rows[table]]]
         planes = scene.interfaces.planes.indexed(interface, (len(scene.interfaces),))
         return planes.signed_distance(points[:, None]).mean(dim=-1)

@@ -178,7 +178,7 @@ class Work:
     def _note_dry(self, scene: Scene) -> None:
         ties = scene.placed[: self.ties]
         dry = int((scene.above_water()[: self.ties] & ties).sum())
-        if 2 * dry > int(ties.sum()) and scene.index_ratio > 1.0:
+        if 2 * dry > int(ties.sum()) and scene.interfaces.stand_in_world:
             self.recorder.note(
                 f"{dry} of {int(ties.sum())} points lie above the water, where nothing refracts: is the plane given "
                 "in the frame of the reconstruction?"

@@ -80,7 +80,7 @@ def placed_by_survey(
     place follow from a horizontal similarity, whichever few positions are wrong, and the height from the mean.
     pixel_sigma: of keypoints, as the images show it.
     """
-    ties, refractive = len(scene.points), scene.index_ratio > 1.0
+    ties, refractive = len(scene.points), scene.interfaces.stand_in_world
     survey = survey if refractive else survey.without_water()
     every = with_control(scene, survey, pixel_sigma)
     every = with_meeting_points(every, torch.arange(len(every.points)) >= ties) if len(survey.control_names) else every

@@ -40,7 +40,7 @@ def with_found_normal(
     as well, or the tilt is not determined.
     """
     recorder = recorder or SilentRecorder()
-    if not scene.interfaces.refract():
+    if not scene.interfaces.stand_in_world:
         raise UnadjustableError(f"the normal of the water cannot be seen at an index ratio of 1; {REMEDY}")
     some = _some_points(scene)
     if not len(some.points):
