@@ -175,10 +175,10 @@ def _image(**values):
     [
         (_set(intrinsics={}), "intrinsics is not a known field"),
         (_set(index_ratio=1.333), "index_ratio is given beside interface"),
-        (_set(interface={"kind": "wall"}), r"interface.kind is 'wall', which cannot be reconstructed yet"),
+        (_set(interface={"kind": "wall"}), "interface.layers is missing, but a wall has three or more"),
         (_set(interface={"kind": "lake"}), r"interface.kind is 'lake', but must be 'surface'"),
-        (_set(interface={"layers": [{"index": 1.0}]}), "interface.layers lists 1, but a surface has two"),
-        (_set(interface={"layers": [{"index": 1.3}, {"index": 1.0}]}), r"interface.layers is 0.769"),
+        (_set(interface={"layers": [{"index": 1.0}]}), "interface.layers lists 1, but there are at least two"),
+        (_set(interface={"layers": [{"index": 1.3}, {"index": 1.0}]}), "has an index of 1 beyond one of 1.3"),
         (_set(cameras={}), "cameras is empty, but must describe at least one camera"),
         (lambda c: c.pop("cameras"), "cameras is missing, but must describe at least one camera"),
         (_set(georeference={"origin": [0, 0, 0]}), "georeference.crs is missing"),

@@ -107,14 +107,6 @@ def test_a_file_of_cameras_is_as_it_always_was(tmp_path, scene):
     assert json.dumps(json.loads(CAMERAS_JSON), indent=1) + "\n" == (tmp_path / "cameras.json").read_text()
 
 
-def test_a_scene_that_the_file_has_no_place_for_is_refused(tmp_path, scene):
-    raised = replace(scene, interfaces=Interfaces.level(1.333, height=2.0))
-
-    with pytest.raises(SceneError, match="water that is not the plane z = 0"):
-        write_cameras(raised, tmp_path / "cameras.json")
-    assert not list(tmp_path.iterdir())
-
-
 def test_several_cameras_of_any_model_come_back(tmp_path, scene):
     lenses = [
         Intrinsics.create(640, 480, 500.0, (310.0, 250.0), (0.1, 0.2, 0.0, 0.0, 0.3, 0.4, 0.5, 0.6)),

@@ -82,8 +82,7 @@ def reconstruct(
     """
     options = options or Options()
     survey = survey or survey_of(capture, options)
-    measured = with_measured(capture, survey)
-    capture = facing_wall(measured)
+    capture = facing_wall(with_measured(capture, survey))
     check_levels(survey, capture)
     recorder = recorder or SilentRecorder()
     stage = _Stages(on_stage)
@@ -99,7 +98,7 @@ def reconstruct(
         if bool(given.down_sigma.isinf().any()):
             level = complete_gravity if given.has_gravity else level_capture
             try:
-                capture = stage("levelling", lambda: with_upright_wall(level(given, *known, recorder), measured))
+                capture = stage("levelling", lambda: with_upright_wall(level(given, *known, recorder)))
             except UnknownVerticalError as error:
                 raise ReconstructionError(str(error)) from None
     verify = _Verification(matches, features, ratio, options, generator, recorder)

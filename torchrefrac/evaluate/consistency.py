@@ -18,6 +18,7 @@ from torchrefrac.sfm.gravity import contradicted_gravity, with_common_tilt
 from torchrefrac.sfm.heights import fit_heights
 from torchrefrac.sfm.stated_places import OTHER_UNIT
 from torchrefrac.sfm.vertical import angle_between
+from torchrefrac.sfm.walls import gravity_in_world, looks_through_wall, tilt_sigma
 
 FEW, WORSE = 0.5, 4.0
 """Share of the observations of the typical view, and times its error: a view with fewer, larger ones is weak."""
@@ -93,7 +94,26 @@ def _duplicates(stated: Capture) -> list[Finding]:
     ]
 
 
+def _wall(scene: Scene, stated: Capture) -> list[Finding]:
+    """A wall that gravity does not find upright."""
+    found = gravity_in_world(scene, stated)
+    if found is None:
+        return []
+    gravity, sigma = found
+    tilt, doubt = math.asin(min(abs(float(gravity[2])), 1.0)), math.hypot(sigma, tilt_sigma(stated))
+    if tilt <= DOUBTFUL * doubt:
+        return []
+    message = (
+        f"the wall is {math.degrees(tilt):.1f} degrees from upright by down_in_cam, but is stated to stand upright to "
+        f"{math.degrees(doubt):.1f} degrees; its normal was taken from the refraction: check down_in_cam, or state "
+        "tilt_sigma_deg of the wall"
+    )
+    return [Finding(WarningCode.GRAVITY_CONTRADICTS, message)]
+
+
 def _gravity(scene: Scene, stated: Capture) -> list[Finding]:
+    if looks_through_wall(stated):
+        return _wall(scene, stated)
     if not stated.has_gravity:
         known = math.degrees(math.inf if scene.capture is None else scene.capture.typical_down_sigma)
         if known <= VAGUE_DEG:

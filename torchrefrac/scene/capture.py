@@ -36,7 +36,8 @@ class Capture:
     where it is not known. heading: compass heading of the image's top after levelling, radians clockwise from north
     (world +y), with an error of degrees, where has_heading; reports alone look at it. normal_in_cam: unit normals,
     towards the camera, of the walls that images look through, with expected errors of normal_sigma radians, infinite
-    where it is not known. water_extent: where the water ends, if that is known. georeference: where the local frame
+    where it is not known. gravity_in_cam, gravity_sigma: where down_in_cam is the direction into a wall, which gravity
+    is not. water_extent: where the water ends, if that is known. georeference: where the local frame
     stands, if that is known. epochs: names of the times between which the level of the water may have changed, where
     there are several; epoch: rows of these. folder: where the capture was read from; truth, if any, lies beside it.
     damaged: photographs that were listed but are not here, by name, and what is wrong with their files.
@@ -64,6 +65,8 @@ class Capture:
     georeference: Georeference | None = None
     normal_in_cam: Float[Tensor, "c 3"] = field(default_factory=lambda: torch.zeros(0, 3, dtype=torch.float64))
     normal_sigma: Float[Tensor, " c"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
+    gravity_in_cam: Float[Tensor, "c 3"] = field(default_factory=lambda: torch.zeros(0, 3, dtype=torch.float64))
+    gravity_sigma: Float[Tensor, " c"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
     epochs: tuple[str, ...] = ()
     epoch: Int[Tensor, " c"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
     damaged: Mapping[str, str] = field(default_factory=dict)
@@ -79,6 +82,8 @@ class Capture:
             "height_sigma": torch.full_like(self.height, torch.inf),
             "normal_in_cam": self.down_in_cam.new_tensor((0.0, 0.0, -1.0)).repeat(len(self), 1),
             "normal_sigma": torch.full_like(self.height, torch.inf),
+            "gravity_in_cam": self.down_in_cam,
+            "gravity_sigma": self.down_sigma,
             "position": torch.zeros_like(unknown),
             "position_sigma": unknown,
         }
@@ -138,5 +143,6 @@ class Capture:
 PER_VIEW = (
     "down_in_cam", "down_sigma", "height", "has_height", "height_sigma", "position", "position_sigma", "heading",
     "has_heading", "camera", "interface", "epoch", "normal_in_cam", "normal_sigma",
+    "gravity_in_cam", "gravity_sigma",
 )  # fmt: skip
 """The fields of a capture that have a row for each photograph."""

@@ -160,7 +160,7 @@ class Interfaces:
         """Several tables as one; what is uncertain of any is of all."""
         count = max(one.layers.shape[-1] for one in every)
 
-        def padded(values: Float[Tensor, "e k"], by: float) -> Float[Tensor, "e {count}"]:
+        def padded(values: Float[Tensor, "e k"], by: float) -> Float[Tensor, "e wider"]:
             return torch.nn.functional.pad(values, (0, count - values.shape[-1]), value=by)
 
         return cls(

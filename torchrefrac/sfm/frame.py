@@ -9,6 +9,7 @@ from torch import Tensor
 from torchrefrac.geometry import Similarity, heading_rotation, level_rotation, split_heading
 from torchrefrac.scene import Capture, Scene
 from torchrefrac.sfm.heights import fit_heights
+from torchrefrac.sfm.walls import gravity_in_world
 
 
 def fix_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Scene:
@@ -21,7 +22,8 @@ def fix_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Scene:
 
 
 def final_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Similarity:
-    """What puts the first registered view at x = y = 0 with heading 0, and scales to the measured heights.
+    """What puts the first registered view at x = y = 0 with heading 0, and scales to the measured heights. Before a
+    wall, where gravity is known, y points up instead.
 
     Through water the scale is that of the measured camera heights which agree, see `fit_heights` (or makes the first
     height 1), unless the scene has one, as by layers of known thickness; plane and vertical stay. Without refraction
@@ -32,8 +34,11 @@ def final_frame(scene: Scene, capture: Capture, has_scale: bool = False) -> Simi
     registered = views.registered.nonzero()[:, 0]
     refractive = scene.interfaces.stand_in_world
     level = torch.eye(3, dtype=torch.float64) if refractive else mean_level(scene, capture)
-    first = registered[0]
-    _, heading = split_heading(views.rotation[first] @ level.T)
+    first, gravity = registered[0], gravity_in_world(scene, capture)
+    if gravity is None:
+        _, heading = split_heading(views.rotation[first] @ level.T)
+    else:
+        heading = torch.atan2(-gravity[0][0], -gravity[0][1])
     rotation = heading_rotation(heading) @ level
     center = views.center[registered] @ rotation.T
     measured = capture.has_height[registered]

@@ -43,19 +43,21 @@ def facing_wall(capture: Capture) -> Capture:
         )
     return replace(
         capture,
+        gravity_in_cam=capture.down_in_cam,
+        gravity_sigma=capture.down_sigma,
         down_in_cam=-capture.normal_in_cam,
         down_sigma=capture.normal_sigma,
         has_gravity=bool(capture.normal_sigma.isfinite().any()),
     )
 
 
-def with_upright_wall(facing: Capture, stated: Capture) -> Capture:
-    """The capture `facing` a wall with directions into it that are level, as far as the gravity of `stated` knows it
-    better than they are known."""
-    if not looks_through_wall(stated) or not stated.has_gravity:
+def with_upright_wall(facing: Capture) -> Capture:
+    """A capture that faces a wall with directions into it that are level, as far as gravity knows it better than they
+    are known."""
+    if not looks_through_wall(facing):
         return facing
-    gravity, into = stated.down_in_cam, facing.down_in_cam
-    upright = torch.hypot(stated.down_sigma, stated.down_sigma.new_tensor(math.radians(tilt_sigma_deg(stated))))
+    gravity, into = facing.gravity_in_cam, facing.down_in_cam
+    upright = torch.hypot(facing.gravity_sigma, torch.full_like(facing.gravity_sigma, tilt_sigma(facing)))
     doubt = facing.down_sigma.clamp(max=math.pi).square()
     share = torch.where(upright.isfinite(), doubt / (doubt + upright.square()), 0.0)
     along = (gravity * into).sum(dim=-1)
@@ -63,17 +65,17 @@ def with_upright_wall(facing: Capture, stated: Capture) -> Capture:
     return replace(facing, down_in_cam=level)
 
 
-def tilt_sigma_deg(capture: Capture) -> float:
-    """How far from vertical the walls of a capture may be, degrees."""
-    return math.degrees(capture.interfaces.sigmas.get("upright", math.radians(UPRIGHT_DEG)))
+def tilt_sigma(capture: Capture) -> float:
+    """How far from vertical the walls of a capture may be, radians."""
+    return capture.interfaces.sigmas.get("upright", math.radians(UPRIGHT_DEG))
 
 
-def gravity_in_world(scene: Scene, stated: Capture) -> Float[Tensor, "3"] | None:
-    """The mean of the gravity that is stated of registered views, a unit vector in the frame of the wall; None where
-    there is none."""
-    rows = scene.views.registered & stated.down_sigma.isfinite()
-    if not bool(rows.any()):
+def gravity_in_world(scene: Scene, facing: Capture) -> tuple[Float[Tensor, "3"], float] | None:
+    """The mean gravity of registered views, a unit vector in the frame of the wall, and its standard deviation in
+    radians; None where there is none."""
+    sigma, rows = facing.gravity_sigma, scene.views.registered & facing.gravity_sigma.isfinite()
+    if not looks_through_wall(facing) or not bool(rows.any()):
         return None
-    turned = scene.views.rotation[rows].mT @ stated.down_in_cam[rows, :, None]
-    weighed = turned[..., 0] / stated.down_sigma[rows, None].square()
-    return torch.nn.functional.normalize(weighed.sum(dim=0), dim=0)
+    turned = (scene.views.rotation[rows].mT @ facing.gravity_in_cam[rows, :, None])[..., 0]
+    weighed = (turned / sigma[rows, None].square()).sum(dim=0)
+    return torch.nn.functional.normalize(weighed, dim=0), float(sigma[rows].square().reciprocal().sum().rsqrt())
