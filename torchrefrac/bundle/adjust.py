@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import torch
 from jaxtyping import Bool
 from torch import Tensor
 
@@ -47,13 +48,15 @@ def adjust(
     *,
     terms: Sequence[Term] = (),
     fixed: Bool[Tensor, "m 6"] | None = None,
+    fix_points: bool = False,
     check: bool = True,
     callback: Callable[[int, float, float], None] | None = None,
 ) -> BundleReport:
     """Minimise the reprojection error, and that of all `terms`, over all that varies (paper, section 3.5, and more).
 
     All views, points and observations of the scene take part, see `Scene.part`. terms: measurements besides pixels.
-    fixed: unknowns of the poses (rotation, then centre) that stay as they are. What else varies is in the options; all
+    fixed: unknowns of the poses (rotation, then centre) that stay as they are; fix_points: none of the points varies,
+    as those of a board, which may then be seen by a single view. What else varies is in the options; all
     interfaces share one index ratio. A gauge that nothing fixes is free: the result is then as near to the start as the
     data allow (shifts along the water, heading, scale about it; at index ratio 1 all similarities).
 
@@ -64,12 +67,14 @@ def adjust(
     options = options or BundleOptions()
     reduced = concerned_points(terms, scene.points)
     if check:
-        check_inputs(scene, fixed, known=reduced)
-    layout = Layout.create(scene, options.refine, fixed, reduced=reduced)
+        known = torch.ones_like(scene.placed) if fix_points else reduced
+        check_inputs(scene, fixed, known, connected=not fix_points)
+    layout = Layout.create(scene, options.refine, fixed, fix_points, reduced)
     problem = BundleProblem.create(scene, layout, options, terms)
     refused = {} if options.refine_unseen else undetermined(problem, scene, options.pixel_sigma)
     if refused:
-        layout = Layout.create(scene, tuple(u for u in options.refine if u not in refused), fixed, reduced=reduced)
+        left = tuple(name for name in options.refine if name not in refused)
+        layout = Layout.create(scene, left, fixed, fix_points, reduced)
         problem = problem.with_layout(scene, layout, options, problem.terms)  # no term is about what is refused
     report = minimize(problem, scene, options.solver, callback)
     problem.buffers.clear()

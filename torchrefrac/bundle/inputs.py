@@ -18,12 +18,16 @@ class UnadjustableError(TorchrefracError, ValueError):
 
 
 def check_inputs(
-    scene: Scene, fixed: Bool[Tensor, "m 6"] | None = None, known: Bool[Tensor, " n"] | None = None
+    scene: Scene,
+    fixed: Bool[Tensor, "m 6"] | None = None,
+    known: Bool[Tensor, " n"] | None = None,
+    connected: bool = True,
 ) -> None:
     """Raise UnadjustableError for a scene of which not everything takes part, for values that are not finite, ids out
     of range, views that are not above their interface, points that fewer than two views see, views without any, and
     views that no chain of common points connects to the rest (unless their poses are fixed); SceneError for interfaces
-    of several index ratios. known: points that have measurements of their own; these may be seen once.
+    of several index ratios. known: points that have measurements of their own; these may be seen once. connected:
+    whether such a chain is asked for.
     """
     views, seen = scene.views, scene.observations
     for name, mask in (("view", views.registered), ("point", scene.placed), ("observation", scene.accepted)):
@@ -50,7 +54,8 @@ def check_inputs(
     if len(lonely):
         where = _listed([str(i) for i in lonely[:SHOWN].tolist()], len(lonely))
         raise UnadjustableError(f"seen by fewer than two images: point {where}; leave such points out")
-    _check_connected(scene, fixed)
+    if connected:
+        _check_connected(scene, fixed)
 
 
 def _check_finite(scene: Scene) -> None:

@@ -20,7 +20,8 @@ from torchrefrac.files.run import METRICS, RunRecord
 from torchrefrac.files.tracks import write_tracks
 from torchrefrac.geometry import Similarity
 from torchrefrac.record.memory import forget_peak_memory, peak_memory_gib
-from torchrefrac.scene import Scene, Truth
+from torchrefrac.scene import Capture, Scene, Truth
+from torchrefrac.sfm import looks_through_wall
 
 DENSE, DENSE_METRICS = "dense", ("dense_", "seconds_dense")  # the stage, and how the names of its metrics begin
 
@@ -73,7 +74,7 @@ class RunFolder:
             pixels = {f"pixels_{i:04d}": found.pixels for i, found in enumerate(product)}
             _write_arrays(pixels, self.folder / "features.npz")
         elif name == "levelling":
-            self.metrics |= product.gravity_metrics | {"gravity": "estimated"}
+            self.metrics |= _levelled(product)
         elif name == "matching":
             pairs = [verified.pair for verified in product]
             matches = {f"matches_{pair.first:04d}_{pair.second:04d}": pair.matches for pair in pairs}
@@ -129,6 +130,13 @@ def read_record(folder: Path) -> RunRecord:
     Raises RunRecordError where it is damaged.
     """
     return RunRecord.read(folder) if (folder / METRICS).is_file() else RunRecord(folder)
+
+
+def _levelled(capture: Capture) -> dict[str, Any]:
+    """What was found of the verticals of a capture, or of the normals of the walls that it looks through."""
+    if not looks_through_wall(capture):
+        return capture.gravity_metrics | {"gravity": "estimated"}
+    return {"wall_normal": "estimated", "wall_normal_sigma_deg": capture.gravity_metrics["gravity_sigma_deg"]}
 
 
 def _write_arrays(arrays: Mapping[str, Shaped[Tensor, "..."]], path: Path) -> None:

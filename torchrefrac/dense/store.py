@@ -18,6 +18,7 @@ from torchrefrac.dense.patches import Patches
 from torchrefrac.files.masks import MASKS
 from torchrefrac.files.npz import read_arrays, write_arrays
 from torchrefrac.scene import Capture, Scene
+from torchrefrac.scene.interfaces import TENSORS
 
 ARRAYS = {
     **{"reference": "i:n", "pixels": "f:n2", "points": "f:n3", "normals": "f:n3", "sigma": "f:n", "footprint": "f:n"},
@@ -125,7 +126,7 @@ def fingerprint(scene: Scene, options: DenseOptions) -> str:
     for tensor in (
         *(views.registered, views.rotation, views.center, scene.points, seen.view, seen.point, seen.pixels),
         *(cameras.focal, cameras.principal_point, cameras.distortion),
-        *(interfaces.normal, interfaces.offset, interfaces.index_ratio),
+        *(getattr(interfaces, name) for name in TENSORS),
         *(() if scene.dry is None else (scene.dry,)),
         *_drawn(capture),
     ):

@@ -97,6 +97,11 @@ def reconstruction_lines(metrics: Mapping[str, Any]) -> list[str]:
             "gravity was estimated from the refraction; the verticals are determined to "
             f"{metrics['gravity_sigma_deg']:.1f} degrees"
         )
+    if "wall_normal_sigma_deg" in metrics:
+        lines.append(
+            "the normal of the wall was found by the refraction, in each image to "
+            f"{metrics['wall_normal_sigma_deg']:.1f} degrees at first"
+        )
     if "index_ratio_sigma" in metrics:
         lines.append(f"index ratio {metrics['index_ratio']:.4f} +- {metrics['index_ratio_sigma']:.2g}")
     lines += [f"not refined: {sentence}" for sentence in metrics.get("held", {}).values()]

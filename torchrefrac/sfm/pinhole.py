@@ -75,33 +75,45 @@ class PinholeInitializer:
         points: Float[Tensor, "k 3"],
         generator: torch.Generator,
     ) -> Pose | None:
-        if len(pixels) < MIN_PNP:
-            return None
         self._seed(generator)
-        plane = intrinsics.plane_from_pixels(pixels).numpy()
-        result: Any = cv2.solvePnPRansac(
-            points.numpy(),
-            plane,
-            np.eye(3),
-            None,
-            iterationsCount=1000,
-            reprojectionError=self.options.ransac.max_error / float(intrinsics.focal.mean()),
-            confidence=self.options.ransac.confidence,
-            flags=cv2.SOLVEPNP_SQPNP,
-        )
-        found, rotation_vector, translation, rows = result  # OpenCV's stubs do not know that the last may be None
-        if not found or rows is None or len(rows) < MIN_PNP:
-            return None
-        rotation = torch.from_numpy(cv2.Rodrigues(rotation_vector)[0])
-        center = -(rotation.T @ torch.from_numpy(translation[:, 0]))
-        inliers = torch.zeros(len(pixels), dtype=torch.bool)
-        inliers[torch.from_numpy(rows[:, 0]).long()] = True
-        pose = Pose(rotation, center, inliers)
-        return refine_pose(pose, pixels, points, intrinsics, self.options.bundle, self.options.ransac.max_error)
+        options = self.options.ransac
+        pose = pose_of_points(intrinsics, pixels, points, options.max_error, options.confidence)
+        return pose and refine_pose(pose, pixels, points, intrinsics, self.options.bundle, options.max_error)
 
     @staticmethod
     def _seed(generator: torch.Generator) -> None:
         cv2.setRNGSeed(int(torch.randint(1 << 30, (), generator=generator)))
+
+
+def pose_of_points(
+    intrinsics: Intrinsics,
+    pixels: Float[Tensor, "k 2"],
+    points: Float[Tensor, "k 3"],
+    max_error: float,
+    confidence: float = 0.999,
+) -> Pose | None:
+    """Pose of a camera without refraction that sees known points, and those that agree within max_error pixels, by
+    OpenCV's RANSAC; None where there is none, or fewer than MIN_PNP do."""
+    if len(pixels) < MIN_PNP:
+        return None
+    result: Any = cv2.solvePnPRansac(
+        points.numpy(),
+        intrinsics.plane_from_pixels(pixels).numpy(),
+        np.eye(3),
+        None,
+        iterationsCount=1000,
+        reprojectionError=max_error / float(intrinsics.focal.mean()),
+        confidence=confidence,
+        flags=cv2.SOLVEPNP_SQPNP,
+    )
+    found, rotation_vector, translation, rows = result  # OpenCV's stubs do not know that the last may be None
+    if not found or rows is None or len(rows) < MIN_PNP:
+        return None
+    rotation = torch.from_numpy(cv2.Rodrigues(rotation_vector)[0])
+    center = -(rotation.T @ torch.from_numpy(translation[:, 0]))
+    inliers = torch.zeros(len(pixels), dtype=torch.bool)
+    inliers[torch.from_numpy(rows[:, 0]).long()] = True
+    return Pose(rotation, center, inliers)
 
 
 def essential_pose(

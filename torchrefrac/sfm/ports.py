@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
@@ -27,6 +27,56 @@ GRID = 9
 """Rays across an image that say where they nearly meet."""
 
 
+@dataclass(frozen=True, eq=False)
+class ApparentPinholes:
+    """Of housed cameras, whose ports are `interfaces`; camera and interface: rows of the tables, of each image."""
+
+    housed: Cameras
+    interfaces: Interfaces
+    camera: Int[Tensor, " m"]
+    interface: Int[Tensor, " m"]
+
+    @cached_property
+    def cameras(self) -> Cameras:
+        """The pinholes: without distortion, and with a focal length that is larger by the index ratio."""
+        focal = self.interfaces.index_ratio[0] * self.housed.focal
+        none = torch.zeros_like(self.housed.distortion)
+        return replace(self.housed.exact(), focal=focal, distortion=none, models=())
+
+    @cached_property
+    def far(self) -> Float[Tensor, ""]:
+        """The distance at which things are taken to be."""
+        return FAR * (self.interfaces.thickness.sum(dim=-1) - self.interfaces.offset).max()
+
+    def pixels(self, image: int, pixels: Float[Tensor, "k 2"]) -> Float[Tensor, "k 2"]:
+        """Where the pinhole of an image sees what its pixels see."""
+        origins, directions, _ = self._each[image].cast_rays(pixels)
+        seen = origins + self.far * directions - self._middle[image]
+        return self.cameras.of_views(self.camera[image]).pixels_from_plane(seen[:, :2] / seen[:, 2:])
+
+    def centers(
+        self, images: tuple[int, ...], rotation: Float[Tensor, "k 3 3"], pinholes: Float[Tensor, "k 3"]
+    ) -> Float[Tensor, "k 3"]:
+        """Centres of the cameras of some images, cam_from_world `rotation`, whose pinholes stand there."""
+        return pinholes - (rotation.mT @ self._middle[list(images), :, None])[..., 0]
+
+    @cached_property
+    def _each(self) -> RefractiveCamera:
+        """All cameras, each in its own frame."""
+        at, rows = Rigid.identity(len(self.camera)), torch.arange(len(self.camera))
+        intrinsics = self.housed.of_views(self.camera)
+        interface = self.interfaces.of_views(self.interface)
+        return RefractiveCamera(intrinsics, at.rotation, at.center, interface, check=False)[rows]
+
+    @cached_property
+    def _middle(self) -> Float[Tensor, "m 3"]:
+        """The point that the rays of each image nearly meet in, in the frame of its camera."""
+        sizes = self.housed.focal.new_tensor(self.housed.sizes)[self.camera]
+        steps = (torch.arange(GRID, dtype=sizes.dtype) + 0.5) / GRID
+        origins, directions, _ = self._each[:, None].cast_rays(torch.cartesian_prod(steps, steps) * sizes[:, None])
+        return triangulate(origins, directions)[0]
+
+
 @dataclass(frozen=True)
 class PortInitializer:
     """Pinhole poses of the apparent pixels. Nothing but the port tells the scale, and that weakly: the first pair is
@@ -37,19 +87,17 @@ class PortInitializer:
     options: SfmOptions
 
     def relative(self, images: tuple[int, int], pixels: Pixels, generator: torch.Generator) -> PairPose | None:
-        first, second = (self._apparent(image, at) for image, at in zip(images, pixels, strict=True))
+        first, second = (self._apparent.pixels(image, at) for image, at in zip(images, pixels, strict=True))
         found = self._pinholes.relative(images, (first, second), generator)
         if found is None or found.rotation is None or found.center is None:
             return found
-        intrinsics = self._pinholes.capture.intrinsics_of(list(images))
-        pose = Rigid(found.rotation, found.center)
+        intrinsics, pose = self._pinholes.capture.intrinsics_of(list(images)), Rigid(found.rotation, found.center)
         both = torch.stack((first, second), dim=1)[found.inliers]
         points, _, _ = meet(cameras_of(intrinsics, pose, found.center.new_ones(())), both)
-        away = (points[:, None] - found.center).norm(dim=-1).median()
-        scale = self._far / away if len(both) else 1.0
-        middle = found.center[:1]
-        center = middle + scale * (found.center - middle)
-        return replace(found, center=self._behind_port(images, found.rotation, center), straight=None)
+        away, middle = (points[:, None] - found.center).norm(dim=-1), found.center[:1]
+        scale = self._apparent.far / away.median() if len(both) else 1.0
+        center = self._apparent.centers(images, found.rotation, middle + scale * (found.center - middle))
+        return replace(found, center=center, straight=None)
 
     def absolute(
         self,
@@ -59,58 +107,19 @@ class PortInitializer:
         points: Float[Tensor, "k 3"],
         generator: torch.Generator,
     ) -> Pose | None:
-        apparent = self._pinholes.capture.intrinsics_of(image)
-        found = self._pinholes.absolute(image, apparent, self._apparent(image, pixels), points, generator)
+        apparent, at = self._pinholes.capture.intrinsics_of(image), self._apparent.pixels(image, pixels)
+        found = self._pinholes.absolute(image, apparent, at, points, generator)
         if found is None:
             return None
-        center = self._behind_port((image,), found.rotation[None], found.center[None])[0]
-        return replace(found, center=center)
-
-    def _apparent(self, image: int, pixels: Float[Tensor, "k 2"]) -> Float[Tensor, "k 2"]:
-        """Where the pinhole of an image sees what its pixels see."""
-        origins, directions, _ = self._cameras[image].cast_rays(pixels)
-        seen = origins + self._far * directions - self._middle[image]
-        return self._pinholes.capture.intrinsics_of(image).pixels_from_plane(seen[:, :2] / seen[:, 2:])
-
-    def _behind_port(
-        self, images: tuple[int, ...], rotation: Float[Tensor, "k 3 3"], apparent: Float[Tensor, "k 3"]
-    ) -> Float[Tensor, "k 3"]:
-        """Centres of cameras whose rays nearly meet in `apparent`."""
-        return apparent - (rotation.mT @ self._middle[list(images), :, None])[..., 0]
+        return replace(found, center=self._apparent.centers((image,), found.rotation[None], found.center[None])[0])
 
     @cached_property
-    def _cameras(self) -> RefractiveCamera:
-        """All photographs, each in its own frame."""
+    def _apparent(self) -> ApparentPinholes:
         capture = self.capture
-        at = Rigid.identity(len(capture))
-        interface = capture.interfaces.with_index_ratio(self.index_ratio).of_views(capture.interface)
-        intrinsics = capture.cameras.of_views(capture.camera)
-        return RefractiveCamera(intrinsics, at.rotation, at.center, interface, check=False)[torch.arange(len(capture))]
-
-    @cached_property
-    def _middle(self) -> Float[Tensor, "m 3"]:
-        """The point that the rays of each image nearly meet in, in the frame of its camera."""
-        sizes = torch.tensor([self.capture.cameras.sizes[i] for i in self.capture.camera.tolist()], dtype=torch.float64)
-        steps = (torch.arange(GRID, dtype=torch.float64) + 0.5) / GRID
-        grid = torch.cartesian_prod(steps, steps)
-        origins, directions, _ = self._cameras[:, None].cast_rays(grid * sizes[:, None])
-        return triangulate(origins, directions)[0]
-
-    @cached_property
-    def _far(self) -> Float[Tensor, ""]:
-        """The distance at which things are taken to be."""
-        interfaces = self.capture.interfaces
-        return FAR * (interfaces.thickness.sum(dim=-1) - interfaces.offset).max()
+        ports = capture.interfaces.with_index_ratio(self.index_ratio)
+        return ApparentPinholes(capture.cameras, ports, capture.camera, capture.interface)
 
     @cached_property
     def _pinholes(self) -> PinholeInitializer:
-        """Of the apparent cameras: without distortion, and with a focal length that is larger by the index ratio."""
-        cameras: Cameras = self.capture.cameras
-        apparent = replace(
-            cameras.exact(),
-            focal=self.index_ratio * cameras.focal,
-            distortion=torch.zeros_like(cameras.distortion),
-            models=(),
-        )
-        air: Interfaces = self.capture.interfaces.with_index_ratio(1.0)
-        return PinholeInitializer(replace(self.capture, cameras=apparent, interfaces=air), self.options)
+        air = self.capture.interfaces.with_index_ratio(1.0)
+        return PinholeInitializer(replace(self.capture, cameras=self._apparent.cameras, interfaces=air), self.options)
