@@ -329,7 +329,9 @@ def _by_parameters(camera, points, with_frozen_ratio=False):
             thrice = 3.0 * first  # only ratios matter
             layers = (thrice, *(thrice * index for index in indices.unbind(dim=-1)))
             inner = tuple(thickness.unbind(dim=-1))
-            media = replace(interface, index_ratio=None, layers=layers, thickness=inner, plane=plane.moved(tilt, height))
+            media = replace(
+                interface, index_ratio=None, layers=layers, thickness=inner, plane=plane.moved(tilt, height)
+            )
         eye = replace(lens, focal=focal, principal_point=principal_point, distortion=distortion)
         rotation = so3_exp(turn) @ camera.cam_from_world_rotation
         if with_frozen_ratio:

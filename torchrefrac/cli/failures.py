@@ -20,12 +20,13 @@ from torchrefrac.files.run import METRICS, RunRecordError
 from torchrefrac.files.swap import FolderInUseError
 from torchrefrac.scene import CaptureError, SceneError, SurveyError
 from torchrefrac.sfm import NoInitialPairError
+from torchrefrac.sfm.known_points import CalibrationError
 from torchrefrac.sweeps.folder import SweepError, append_traceback, write_failure
 
 EXPECTED = (
-    CaptureError, CloudError, CorrectionError, DenseError, FolderInUseError, MemoryLackError, MissingMandatoryValue,
-    NoInitialPairError, OptionError, OSError, ReconstructionError, RunRecordError, SceneError, SurveyError, SweepError,
-    UnadjustableError,
+    CalibrationError, CaptureError, CloudError, CorrectionError, DenseError, FolderInUseError, MemoryLackError,
+    MissingMandatoryValue, NoInitialPairError, OptionError, OSError, ReconstructionError, RunRecordError, SceneError,
+    SurveyError, SweepError, UnadjustableError,
 )  # fmt: skip
 """Errors whose message is for the user; all others are bugs, and come with a traceback."""
 

@@ -1,5 +1,7 @@
 """The commands that come before a reconstruction: import photographs, calibrate a camera."""
 
+import os
+
 import hydra
 from omegaconf import DictConfig
 
@@ -8,6 +10,8 @@ from torchrefrac.cli.composed import calibrate_options, import_options
 from torchrefrac.cli.conf import CONF
 from torchrefrac.commands.calibrate import calibrate as calibrate_camera
 from torchrefrac.commands.calibrate import calibration_lines
+from torchrefrac.commands.calibrate_capture import calibrate_capture
+from torchrefrac.commands.calibrate_capture import calibration_lines as capture_lines
 from torchrefrac.commands.import_photographs import import_photographs
 from torchrefrac.record.import_lines import import_lines
 from torchrefrac.record.summary import summary
@@ -30,6 +34,11 @@ def calibrate(config: DictConfig) -> None:
     """`torchrefrac calibrate`."""
     with may_fail():
         options = calibrate_options(config)
-        result = calibrate_camera(options, SilentRecorder() if options.quiet else TerminalRecorder())
+        recorder = SilentRecorder() if options.quiet else TerminalRecorder()
+        if options.capture is None:
+            lines = calibration_lines(calibrate_camera(options, recorder), options.out)
+        else:
+            lines = capture_lines(calibrate_capture(options, recorder))
+            lines.append(f"written to {os.path.relpath(options.out)}")
         if not options.quiet:
-            print(summary(calibration_lines(result, options.out)))
+            print(summary(lines))

@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
+from torchrefrac.bundle.options import Unknown
 from torchrefrac.checks import Range, require, require_ranges
 from torchrefrac.config.build import OptionError
 from torchrefrac.scene.interfaces import MAX_INDEX_RATIO
@@ -167,21 +168,39 @@ class ImportOptions(BoardOptions):
 class CalibrateOptions(BoardOptions):
     """Photographs of a board from the command line, and what the board is like; its sides in any unit.
 
-    out: path of the file that is written. quiet: only errors are said.
+    capture: instead of photos, the folder of a capture.json, of which poses and whatever it states to be uncertain of
+    cameras and interfaces is found, by a board or by `points`, a CSV file of known points and their pixels. refine:
+    what varies besides that (see `BundleOptions`). pixel_sigma: expected noise of a corner or click, pixels. out: path
+    of the file that is written, or of the folder where there is a capture. quiet: only errors are said.
     """
 
-    photos: str | tuple[str, ...]
+    photos: str | tuple[str, ...] = ()
     out: str
     board: Literal["charuco", "chessboard"] = "charuco"
     model: Literal["opencv", "rational", "fisheye"] = "opencv"
+    capture: str | None = None
+    points: str | None = None
+    refine: tuple[Unknown, ...] = ()
+    pixel_sigma: float = 0.3
     quiet: bool = False
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        if self.points is None:
+            super().__post_init__()
         if not self.out.strip():
             raise OptionError("out is empty, but must be the path of the camera.json to write")
+        if self.capture is None:
+            self._check_photos()
+        elif self.sources:
+            raise OptionError("photos and capture are both given, but the photographs are those of the capture")
+        require_ranges(self, {"pixel_sigma": Range(above=0.0, at_most=1e3)})
+
+    def _check_photos(self) -> None:
         if not self.sources or not all(source.strip() for source in self.sources):
             raise OptionError("photos is empty, but must be a folder of photographs, or several")
+        if self.points is not None or self.refine:
+            name = "refine" if self.points is None else "points"
+            raise OptionError(f"{name} is given without capture, the folder of the capture.json that it is about")
 
     @property
     def sources(self) -> tuple[str, ...]:

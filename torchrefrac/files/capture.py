@@ -1,6 +1,7 @@
 """Reading `capture.json` and checking it before anything is computed."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,15 +10,15 @@ import torch
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.files.extent import read_extent
-from torchrefrac.files.fields import Fields, different_names, read_json
+from torchrefrac.files.fields import Fields, different_names, read_json, write_json
 from torchrefrac.files.georeference import GEOREFERENCE, read_georeference
-from torchrefrac.files.interface import INTERFACES, interface_of_images, read_interfaces
-from torchrefrac.files.intrinsics import camera_of_images, read_cameras_table, read_intrinsics
+from torchrefrac.files.interface import INTERFACE, INTERFACES, interface_content, interface_of_images, read_interfaces
+from torchrefrac.files.intrinsics import camera_of_images, cameras_content, read_cameras_table, read_intrinsics
 from torchrefrac.files.masks import IMAGES, Masks
 from torchrefrac.files.measured import FIELDS as MEASURED
 from torchrefrac.files.measured import read_measured, require_for_all
 from torchrefrac.files.photographs import DamagedPhotographError, check_photograph, read_grey
-from torchrefrac.scene import Cameras, Capture, CaptureError, WaterExtent
+from torchrefrac.scene import Cameras, Capture, CaptureError, Interfaces, WaterExtent
 from torchrefrac.scene.interfaces import SURFACE
 
 FORMAT = "torchrefrac-capture/1"
@@ -37,8 +38,9 @@ OF_CAPTURE = (
 )
 
 
-def load_capture(folder: str | Path) -> Capture:
-    """Read `folder`/capture.json; the images lie in `folder`/images unless it says where.
+def load_capture(folder: str | Path, with_images: bool = True) -> Capture:
+    """Read `folder`/capture.json; the images lie in `folder`/images unless it says where, and need not exist without
+    `with_images`.
 
     Images that are damaged or cannot be read are left out and listed in `damaged`, where two or more others are left.
     Raises CaptureError with one sentence for anything else that cannot be right: a missing image, one of another size
@@ -62,7 +64,9 @@ def load_capture(folder: str | Path) -> Capture:
         require_for_all(images, "down_in_cam", "heading_deg")
     paths = tuple(folder / top.text("folder", IMAGES) / name for name in names)
     camera, interfaces = camera_of_images(images, cameras), read_interfaces(top)
-    damaged = _damaged(paths, [cameras[i] for i in camera], [_where(cameras.names[i], several) for i in camera])
+    seen = camera if with_images else []
+    places = [_where(cameras.names[i], several) for i in seen]
+    damaged = _damaged(paths[: len(seen)], [cameras[i] for i in seen], places)
     capture = Capture(
         folder=folder,
         names=names,
@@ -83,8 +87,30 @@ def load_capture(folder: str | Path) -> Capture:
     if damaged:
         reasons = {name: str(damaged[path]) for name, path in zip(names, paths, strict=True) if path in damaged}
         capture = replace(capture.of_views(whole), damaged=reasons)
-    Masks(capture).check()
+    if with_images:
+        Masks(capture).check()
     return capture
+
+
+def write_capture(
+    source: Path, cameras: Cameras, interfaces: Interfaces, sigmas: Sequence[Mapping[str, float]], path: Path
+) -> None:
+    """Write the capture.json `source` with other cameras and interfaces, and what is not certain of the latter. Its
+    images stay where they are."""
+    content = json.loads(source.read_text(encoding="utf-8"))
+    shift = PIXEL_SHIFT[content["pixel_origin"]]
+    table = cameras_content(cameras)
+    for camera in table.values():
+        camera["cx"], camera["cy"] = camera["cx"] - shift, camera["cy"] - shift
+    named = [*content.get(INTERFACES, {})]
+    for name in ("intrinsics", "index_ratio", INTERFACE, INTERFACES):
+        content.pop(name, None)
+    for image in content["images"]:
+        image.pop("center_prior", None)
+    every = [interface_content(interfaces, row, sigmas[row]) for row in range(len(interfaces))]
+    where = {INTERFACES: dict(zip(named, every, strict=True))} if named else {INTERFACE: every[0]}
+    folder = str((source.parent / content.get("folder", IMAGES)).resolve())
+    write_json(content | {"format": SEVERAL, "folder": folder, "cameras": table} | where, path)
 
 
 def read_capture_cameras(top: Fields) -> Cameras:

@@ -1,7 +1,7 @@
 """What capture.json, truth.json and cameras.json say of the layers that light is bent at."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from jaxtyping import Int
@@ -21,6 +21,7 @@ from torchrefrac.scene.interfaces import (
 
 INTERFACE, INTERFACES = "interface", "interfaces"
 MOST_TILT_DEG = 45.0
+OF_LAYER = {"layer_index": "index_sigma", "layer_thickness": "thickness_sigma"}
 OF_PORT, OF_WALL, OF_ANY = ("normal_in_cam", "distance", "distance_sigma"), ("normal", "offset"), ("kind", "layers")
 
 
@@ -71,16 +72,26 @@ def read_placed(top: Fields) -> Interfaces:
     return Interfaces.joined([_read_interface(fields, alone=False) for fields in every])
 
 
-def interface_content(interfaces: Interfaces, row: int = 0) -> dict[str, object]:
-    """One of them as `read_interfaces` reads it, with its place."""
+def interface_content(
+    interfaces: Interfaces, row: int = 0, sigmas: Mapping[str, float] | None = None
+) -> dict[str, object]:
+    """One of them as `read_interfaces` reads it, with its place, and with what `sigmas` says of its unknowns."""
+    sigmas = sigmas or {}
     kind, layers = interfaces.kinds[row], [{"index": 1.0}]
     for index, thickness in zip(interfaces.layers[row].tolist(), interfaces.thickness[row].tolist(), strict=True):
         if thickness > 0.0:
-            layers.append({"index": index, "thickness": thickness})
-    layers.append({"index": float(interfaces.index_ratio[row])})
+            layers.append({"index": index, "thickness": thickness, **_named(sigmas, OF_LAYER)})
+    layers.append({"index": float(interfaces.index_ratio[row]), **_named(sigmas, {"index_ratio": "index_sigma"})})
     normal, offset = interfaces.normal[row].tolist(), float(interfaces.offset[row])
-    place = {"normal_in_cam": normal, "distance": -offset} if kind == PORT else {"normal": normal, "offset": offset}
-    return {"kind": kind, "layers": layers, **place}
+    if kind != PORT:
+        return {"kind": kind, "layers": layers, "normal": normal, "offset": offset}
+    place = {"normal_in_cam": normal, "distance": -offset, **_named(sigmas, {"plane_height": "distance_sigma"})}
+    tilt = {"tilt_sigma_deg": math.degrees(sigmas["plane_tilt"])} if sigmas.get("plane_tilt") else {}
+    return {"kind": kind, "layers": layers, **place, **tilt}
+
+
+def _named(sigmas: Mapping[str, float], names: Mapping[str, str]) -> dict[str, float]:
+    return {name: sigmas[key] for key, name in names.items() if sigmas.get(key, 0.0) > 0.0}
 
 
 def _read_interface(fields: Fields, alone: bool) -> Interfaces:

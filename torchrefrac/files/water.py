@@ -10,10 +10,12 @@ from jaxtyping import Int
 from torch import Tensor
 
 from torchrefrac.files.fields import Fields, scene_fields, write_json
-from torchrefrac.files.interface import read_index_ratio
+from torchrefrac.files.interface import INTERFACES, interface_content, read_index_ratio, read_placed
 from torchrefrac.scene import Interfaces, Scene
+from torchrefrac.scene.interfaces import SURFACE
 
-FORMAT = "torchrefrac-water/1"
+FORMAT, PLACES = "torchrefrac-water/1", "torchrefrac-water/2"
+"""The second format has interfaces of any kind, with layers between air and water."""
 
 
 def read_water(path: str | Path, names: Sequence[str]) -> tuple[Interfaces, Int[Tensor, " m"]]:
@@ -25,20 +27,31 @@ def read_water(path: str | Path, names: Sequence[str]) -> tuple[Interfaces, Int[
     """
     path = Path(path)
     with scene_fields(path) as top:
+        if top.must_be("format", FORMAT, PLACES) == PLACES:
+            top.only("format", "length_unit", INTERFACES, "interface_of")
+            top.length_unit()
+            placed = read_placed(top)
+            return placed, _planes_of(top, names, len(placed), "interface_of")
         top.only("format", "length_unit", "index_ratio", "planes", "plane_of")
-        top.must_be("format", FORMAT)
         top.length_unit()
         planes = [_plane(fields) for fields in top.objects("planes")]
         if not planes:
             raise top.fail("planes", "is empty, but must list at least one plane")
         ratio = torch.full((len(planes),), read_index_ratio(top), dtype=torch.float64)
         normal, offset = (torch.tensor(column, dtype=torch.float64) for column in zip(*planes, strict=True))
-        return Interfaces(normal, offset, ratio), _planes_of(top, names, len(planes))
+        return Interfaces(normal, offset, ratio), _planes_of(top, names, len(planes), "plane_of")
 
 
 def write_water(scene: Scene, path: str | Path) -> None:
     """Write `water.json`. Raises SceneError where the index ratios of the surfaces differ."""
     surfaces, views = scene.interfaces, scene.views
+    if surfaces.has_layers or set(surfaces.kinds) != {SURFACE}:
+        placed: dict[str, object] = {"format": PLACES, "length_unit": scene.length_unit}
+        placed[INTERFACES] = [interface_content(surfaces, row) for row in range(len(surfaces))]
+        if len(surfaces) > 1:
+            placed["interface_of"] = dict(zip(views.names, views.interface.tolist(), strict=True))
+        write_json(placed, Path(path))
+        return
     planes = zip(surfaces.normal.tolist(), surfaces.offset.tolist(), strict=True)
     content: dict[str, object] = {
         "format": FORMAT,
@@ -51,18 +64,18 @@ def write_water(scene: Scene, path: str | Path) -> None:
     write_json(content, Path(path))
 
 
-def _planes_of(top: Fields, names: Sequence[str], count: int) -> Int[Tensor, " m"]:
-    if "plane_of" not in top and count > 1:
-        raise top.fail("plane_of", f"is missing, but with {count} planes it must say which an image looks through")
-    table = top.object("plane_of") if "plane_of" in top else None
+def _planes_of(top: Fields, names: Sequence[str], count: int, key: str) -> Int[Tensor, " m"]:
+    if key not in top and count > 1:
+        raise top.fail(key, f"is missing, but with {count} planes it must say which an image looks through")
+    table = top.object(key) if key in top else None
     plane_of = {} if table is None else {name: table.integer(name) for name in table.names()}
     for name, plane in plane_of.items():
         if not 0 <= plane < count:
-            raise top.fail(f"plane_of[{name!r}]", f"is {plane}, but must lie in 0 to {count - 1}, one of the planes")
+            raise top.fail(f"{key}[{name!r}]", f"is {plane}, but must lie in 0 to {count - 1}, one of the planes")
     missing = [name for name in names if name not in plane_of] if count > 1 else []
     if missing:
         wanted = f"with {count} planes it must say for each image which it looks through"
-        raise top.fail("plane_of", f"lacks {len(missing)} of {len(names)} images, {missing[0]} first; {wanted}")
+        raise top.fail(key, f"lacks {len(missing)} of {len(names)} images, {missing[0]} first; {wanted}")
     return torch.tensor([plane_of[name] if count > 1 else 0 for name in names], dtype=torch.long)
 
 
