@@ -149,8 +149,9 @@ def _corners(capture: Capture, board: Pattern, recorder: Recorder) -> KnownPoint
     rows.sort(key=lambda row: numbers[row[0]])
     points = torch.tensor([places[number] for number in numbers], dtype=torch.float64).reshape(-1, 3)
     pixels = torch.tensor([row[2:] for row in rows], dtype=torch.float64).reshape(-1, 2) + PIXEL_SHIFT["center"]
-    index = [torch.tensor(column, dtype=torch.long) for column in ([r[1] for r in rows], [numbers[r[0]] for r in rows])]
-    return KnownPoints(points, Observations(*index, pixels))
+    view = torch.tensor([row[1] for row in rows], dtype=torch.long)
+    point = torch.tensor([numbers[row[0]] for row in rows], dtype=torch.long)
+    return KnownPoints(points, Observations(view, point, pixels))
 
 
 def _scene_of(capture: Capture, known: KnownPoints) -> Scene:

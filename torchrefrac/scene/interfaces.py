@@ -164,11 +164,13 @@ class Interfaces:
             return torch.nn.functional.pad(values, (0, count - values.shape[-1]), value=by)
 
         return cls(
-            *(torch.cat([getattr(one, name) for one in every]) for name in ("normal", "offset", "index_ratio")),
-            torch.cat([padded(one.layers, 1.0) for one in every]),
-            torch.cat([padded(one.thickness, 0.0) for one in every]),
-            tuple(kind for one in every for kind in one.kinds),
-            {name: sigma for one in every for name, sigma in one.sigmas.items()},
+            normal=torch.cat([one.normal for one in every]),
+            offset=torch.cat([one.offset for one in every]),
+            index_ratio=torch.cat([one.index_ratio for one in every]),
+            layers=torch.cat([padded(one.layers, 1.0) for one in every]),
+            thickness=torch.cat([padded(one.thickness, 0.0) for one in every]),
+            kinds=tuple(kind for one in every for kind in one.kinds),
+            sigmas={name: sigma for one in every for name, sigma in one.sigmas.items()},
         )
 
     def moved(self, **tensors: Float[Tensor, "e *width"]) -> "Interfaces":
