@@ -17,7 +17,6 @@ from torchrefrac.files.capture import load_capture
 from torchrefrac.geometry import Plane
 from torchrefrac.recorder import SilentRecorder
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.synthetic import patterns, prints
 from torchrefrac.synthetic.attitude import measure_attitude
 from torchrefrac.synthetic.glass import glass_of
 from torchrefrac.synthetic.library import render_scene
@@ -36,7 +35,9 @@ from torchrefrac.synthetic.scenes import (
     TableOptions,
     TankOptions,
     aquarium,
+    cans,
     housing,
+    riverbed,
     stage_of,
     table,
     tank,
@@ -44,6 +45,7 @@ from torchrefrac.synthetic.scenes import (
 from torchrefrac.synthetic.sight import see
 from torchrefrac.synthetic.stage import StageError
 
+PATTERNS = ("beans", "checkerboard", "coral", "grass", "gravel", "label", "rock", "scales", "tiles", "wood")
 CALM = SensorOptions(samples=1, blur=0.0, noise=0.0)
 DISTORTION = (-0.08, 0.02, 1e-3, -5e-4, 0.0)
 PHONES = (
@@ -59,15 +61,26 @@ def mottled(size, seed, **_):
     return np.random.default_rng(seed).integers(0, 256, (24, 32, 3), dtype=np.uint8)
 
 
+def _draw_soon(patched):
+    for module in (aquarium, cans, housing, table, tank):
+        for name in PATTERNS:
+            if hasattr(module, name):
+                patched.setattr(module, name, mottled)
+    patched.setattr(housing, "_colours", mottled)
+    patched.setattr(riverbed, "colours", lambda size, *_: mottled(size, 0))
+
+
+@pytest.fixture
+def drawn_soon(monkeypatch):
+    """Mottled surfaces, which take no time to draw."""
+    _draw_soon(monkeypatch)
+
+
 @pytest.fixture(scope="module")
 def stages():
     """The aquarium and a small reef, with mottled surfaces, by their options."""
     with pytest.MonkeyPatch.context() as patched:
-        for module in (aquarium, housing):
-            for name in vars(patterns).keys() | vars(prints).keys():
-                if name in ("gravel", "sand", "rock", "coral", "scales", "label", "tiles", "wood"):
-                    patched.setattr(module, name, mottled, raising=False)
-        patched.setattr(housing, "_colours", mottled)
+        _draw_soon(patched)
         options = (
             AquariumOptions(name="aquarium", cameras=PHONES, sensor=CALM),
             HousingOptions(name="housing", columns=2, rows=2, rocks=60, camera=LENS, sensor=CALM),
@@ -111,7 +124,7 @@ def traced(options, stage, image, plane):
     return wet[0] + length * wet[1], piece, uv
 
 
-@pytest.mark.parametrize(("name", "images", "rays"), [("aquarium", (0, 3, 6, 11), 22), ("housing", (0, 3), 16)])
+@pytest.mark.parametrize(("name", "images", "rays"), [("aquarium", (0, 3, 6, 11), 22), ("housing", (0, 3), 12)])
 def test_pixels_show_what_a_tracer_meets_that_follows_rays_one_by_one(stages, draw, name, images, rays):
     options, stage = stages[name]
     photographers = Photographer.each(replace(stage, ambient=1.0, direct=0.0), options)
@@ -138,9 +151,7 @@ def test_pixels_show_what_a_tracer_meets_that_follows_rays_one_by_one(stages, dr
 
 
 @pytest.mark.parametrize(("kind", "tilt_deg"), [("wall", (0.0, 0.0)), ("port", (0.0, 0.0)), ("port", (3.0, -2.0))])
-def test_points_of_any_scene_project_back_through_its_glass(monkeypatch, draw, kind, tilt_deg):
-    for name in ("gravel", "beans", "grass"):
-        monkeypatch.setattr(tank, name, mottled)
+def test_points_of_any_scene_project_back_through_its_glass(drawn_soon, draw, kind, tilt_deg):
     interface = InterfaceOptions(kind=kind, glass_thickness=2.0, distance=4.0, tilt_deg=tilt_deg)
     options = TankOptions(name="tank", interface=interface, camera=LENS)
     stage, glass = stage_of(options), glass_of(options)
@@ -156,6 +167,27 @@ def test_points_of_any_scene_project_back_through_its_glass(monkeypatch, draw, k
     assert sight.in_water.all()
     assert valid.all()
     assert torch.allclose(back, pixels[met], atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["surface", "wall", "port"])
+@pytest.mark.parametrize("name", ["tank", "cans", "table", "riverbed", "aquarium", "housing"])
+def test_any_scene_is_photographed_through_any_interface(stages, drawn_soon, tmp_path, name, kind):
+    if name in stages:
+        own, stage = stages[name]
+    else:
+        more = {"columns": 2, "rows": 1, "obliques": 0, "boulders": 9} if name == "riverbed" else {"images": 4}
+        own = build(SCENES[name], {"name": name, **more}, "scene")
+        own = replace(own, camera=LENS, sensor=CALM)
+        stage = stage_of(own)
+    options = replace(own, interface=replace(own.interface, kind=kind))
+
+    folder = render_scene(stage, options, tmp_path, SilentRecorder())
+
+    said = json.loads((folder / "capture.json").read_text())
+    assert said.get("interface", {"kind": "surface"})["kind"] == kind
+    assert ("height" in said["images"][0]) == (kind != "port")
+    with np.load(folder / "truth_points.npz") as seen:
+        assert np.isfinite(seen["X"]).all(axis=-1).mean() > 0.6
 
 
 def test_before_a_wall_gravity_lies_along_it_and_there_is_no_compass():
@@ -273,11 +305,9 @@ def test_the_photographs_of_the_aquarium_show_all_of_it_many_times_and_nothing_b
     assert 0.02 < dry.double().mean() < 0.25
 
 
-def test_what_is_not_at_its_margin_several_photographs_of_the_reef_show(stages):
+def test_what_is_not_at_its_margin_several_photographs_of_the_reef_show(drawn_soon):
     options = HousingOptions(name="housing")
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(housing, "_colours", mottled)
-        stage = stage_of(options)
+    stage = stage_of(options)
 
     piece, points = views_of(stage, options)
 
@@ -345,9 +375,7 @@ def test_a_camera_behind_the_wall_is_refused(stages, tmp_path):
         render_scene(behind, options, tmp_path, SilentRecorder())
 
 
-def test_the_water_behind_glass_has_no_extent_and_that_of_a_surface_keeps_it(monkeypatch):
-    for name in ("gravel", "beans", "grass", "label", "tiles"):
-        monkeypatch.setattr(table, name, mottled)
+def test_the_water_behind_glass_has_no_extent_and_that_of_a_surface_keeps_it(drawn_soon):
     options = TableOptions(name="table", camera=LENS)
     port = replace(options, interface=InterfaceOptions(kind="port"))
     stage = stage_of(options)
@@ -359,9 +387,7 @@ def test_the_water_behind_glass_has_no_extent_and_that_of_a_surface_keeps_it(mon
     assert behind.look(0, LENS_MIDDLE).in_water.all()
 
 
-def test_without_gravity_a_capture_over_water_has_the_second_format(stages, monkeypatch, tmp_path):
-    for name in ("gravel", "beans", "grass"):
-        monkeypatch.setattr(tank, name, mottled)
+def test_without_gravity_a_capture_over_water_has_the_second_format(drawn_soon, tmp_path):
     inertial = InertialOptions(gravity_sigma_deg=None, heading_sigma_deg=None)
     options = TankOptions(name="tank", images=2, camera=LENS, sensor=CALM, inertial=inertial)
 
