@@ -28,7 +28,7 @@ def rehearse(photographers: Sequence[Photographer], options: SyntheticOptions, n
     for image, name in enumerate(names):
         photographer, grid = photographers[image % len(photographers)], grids[image % len(photographers)]
         height = float(stage.center[image, 2])
-        if not height > scenery.crest and not scenery.is_drowned:
+        if not height > scenery.crest and not scenery.is_submerged:
             surface = "above the water, z = 0" if options.at_surface else "before the glass, z = 0"
             surface = surface if scenery.crest == 0.0 else f"above the crests of the waves, z = {scenery.crest:.3g}"
             raise StageError(

@@ -57,16 +57,16 @@ class Scenery:
     @cached_property
     def below(self) -> tuple[int, ...]:
         """Indices of the pieces that reach below some of the water surface."""
-        return tuple(i for i, (low, _) in enumerate(self._reach) if low < self.crest or self.is_drowned)
+        return tuple(i for i, (low, _) in enumerate(self._reach) if low < self.crest or self.is_submerged)
 
     @cached_property
     def above(self) -> tuple[int, ...]:
         """Indices of the pieces that reach above some of the water surface; of all where there is none somewhere."""
-        reach = () if self.is_drowned else self._reach
+        reach = () if self.is_submerged else self._reach
         return tuple(i for i, (_, high) in enumerate(reach) if high > -self.crest or self.extent)
 
     @property
-    def is_drowned(self) -> bool:
+    def is_submerged(self) -> bool:
         """Whether all is under water, the cameras too."""
         return self.glass is not None and self.glass.moves_with_camera
 
