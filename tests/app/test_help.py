@@ -73,7 +73,10 @@ def test_help_for_a_choice_that_does_not_exist_names_those_that_do(torchrefrac):
     ended = torchrefrac("scene=pond", "--help")
 
     assert ended.status != 0
-    assert "scene is 'pond', but must be one of cans, capture, mesh, riverbed, table, tank, tank_small" in ended.err
+    assert (
+        "scene is 'pond', but must be one of aquarium, cans, capture, housing, mesh, riverbed, table, tank, tank_small"
+        in ended.err
+    )
 
 
 @pytest.mark.parametrize("argument", ["--help", "--version"])

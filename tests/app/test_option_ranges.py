@@ -18,6 +18,7 @@ ALLOWED = {("plane.offset", -1), ("plane.normal", -1), ("plane.normal", 10**12),
 ALLOWED |= {("sfm." + name, value) for name, value in ALLOWED}
 ALLOWED |= {("water.level", -1), ("water_level", -1), ("take_off_above_water", -1)}
 ALLOWED |= {("seed", 10**12), ("inertial.gravity_bias_deg", -1), ("plane_tilt_deg", -1), ("camera.distortion", -1)}
+ALLOWED |= {("interface.tilt_deg", -1)}
 REQUIRED = {
     Options: {},
     AdjustOptions: {"alignment": "a", "out": "b"},

@@ -115,7 +115,11 @@ def test_a_quiet_run_that_fails_says_its_one_error(torchrefrac, metrics, tmp_pat
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["scene=pond"], "scene is 'pond', but must be one of cans, capture, mesh, riverbed, table, tank, tank_small"),
+        (
+            ["scene=pond"],
+            "scene is 'pond', but must be one of aquarium, cans, capture, housing, mesh, riverbed, table, tank, "
+            "tank_small",
+        ),
         (["scene=tank", "scene.index_ratio=abc"], "scene.index_ratio is 'abc', but must be a number"),
         (
             ["scene=tank", "scene.altitude=30"],

@@ -107,7 +107,7 @@ def test_a_job_that_cannot_be_composed_says_why_and_the_others_run(torchrefrac, 
     assert runs.done == ["0_none", "1_radial"]
     found = metrics(tmp_path / "runs" / "2_none")
     assert found["status"] == "failed"
-    assert found["reason"].startswith("scene is 'nonsense', but must be one of cans, capture, ")
+    assert found["reason"].startswith("scene is 'nonsense', but must be one of aquarium, cans, ")
     assert found["overrides"] == {"scene": "nonsense", "model": "none"}
     assert (found["model"], found["scene"]) == ("none", "nonsense")
     assert "3/4  scene=nonsense model=none: failed: scene is 'nonsense'" in ended.err
@@ -117,7 +117,7 @@ def test_a_job_that_cannot_be_composed_says_why_and_the_others_run(torchrefrac, 
     ("arguments", "sentence"),
     [
         (["model=none,radial", "bogus=1"], "bogus is not an option; known here are cache, compare_land, dense,"),
-        (["model=none,radial", "scene=pond"], "scene is 'pond', but must be one of cans, capture,"),
+        (["model=none,radial", "scene=pond"], "scene is 'pond', but must be one of aquarium, cans,"),
         (["model=none,radial", "water.index_ratio={"], "'water.index_ratio={' is not understood"),
         (["model=none,radial", "out=a,b"], "out=a,b has several values, but a sweep has one out"),
         (["model=none,radial", "nothing"], "'nothing' is not understood (missing EQUAL at '<EOF>')"),

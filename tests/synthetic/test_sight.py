@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.synthetic.tracer import meets
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.geometry.surfaces import Rectangle
 from torchrefrac.refraction import FlatInterface
@@ -13,40 +14,12 @@ from torchrefrac.synthetic.sight import Scenery, see
 from torchrefrac.synthetic.stage import Piece
 
 
-def meets(surface, origin, way):
-    """Length at which one ray meets a rectangle, a cylinder or a mesh, by its textbook formula; infinite for a miss."""
-    if hasattr(surface, "corner"):
-        matrix = np.stack((-way, surface.edge1.numpy(), surface.edge2.numpy()), axis=-1)
-        length, u, v = np.linalg.solve(matrix, origin - surface.corner.numpy())
-        return length if length > 1e-9 and 0 <= u <= 1 and 0 <= v <= 1 else math.inf
-    if hasattr(surface, "faces"):
-        best = math.inf
-        for a, b, c in surface.vertices.numpy()[surface.faces.numpy()]:
-            length, u, v = np.linalg.solve(np.stack((-way, b - a, c - a), axis=-1), origin - a)
-            if length > 1e-9 and u >= 0 and v >= 0 and u + v <= 1:
-                best = min(best, length)
-        return best
-    base, axis, radius = surface.base.numpy(), surface.axis.numpy(), surface.radius
-    height = np.linalg.norm(axis)
-    axis = axis / height
-    start = origin - base
-    across, tilt = start - (start @ axis) * axis, way - (way @ axis) * axis
-    roots = np.roots((tilt @ tilt, 2 * across @ tilt, across @ across - radius**2))
-    lengths = [r.real for r in roots if abs(r.imag) < 1e-12 and 0 <= (start + r.real * way) @ axis <= height]
-    for level in (0.0, height):
-        length = (level - start @ axis) / (way @ axis)
-        on_plane = start + length * way
-        if np.linalg.norm(on_plane - (on_plane @ axis) * axis) <= radius:
-            lengths.append(length)
-    return min((length for length in lengths if length > 1e-9), default=math.inf)
-
-
 def trace(surfaces, center, way, index_ratio, half=math.inf):
     """Where one ray ends, and on which surface; None and -1 where on none. half: of the side of a square of water."""
     to_water = center[2] / -way[2] if way[2] < 0 else math.inf
     if to_water < math.inf and np.abs(center + to_water * way)[:2].max() > half:
         to_water = math.inf
-    dry = [meets(surface, center, way) for surface in surfaces]
+    dry = [meets(surface, center, way)[0] for surface in surfaces]
     if min(dry) < to_water:
         return center + min(dry) * way, int(np.argmin(dry))
     if to_water == math.inf:
@@ -54,7 +27,7 @@ def trace(surfaces, center, way, index_ratio, half=math.inf):
     entry = center + to_water * way
     sine = np.hypot(way[0], way[1])
     bent = np.array((*way[:2] / index_ratio, -math.sqrt(1.0 - (sine / index_ratio) ** 2)))
-    wet = [meets(surface, entry, bent) for surface in surfaces]
+    wet = [meets(surface, entry, bent)[0] for surface in surfaces]
     return (None, -1) if min(wet) == math.inf else (entry + min(wet) * bent, int(np.argmin(wet)))
 
 

@@ -448,7 +448,17 @@ def composed(*overrides):
         return OmegaConf.to_container(hydra.compose("config", overrides=list(overrides)).scene, resolve=True)
 
 
-@pytest.mark.parametrize(("name", "fov"), [("tank", 75.0), ("cans", 60.0), ("riverbed", 65.0), ("mesh", 50.0)])
+@pytest.mark.parametrize(
+    ("name", "fov"),
+    [
+        ("tank", 75.0),
+        ("cans", 60.0),
+        ("riverbed", 65.0),
+        ("mesh", 50.0),
+        ("aquarium", 75.0),
+        ("housing", 75.0),
+    ],
+)
 def test_the_yaml_of_a_scene_says_what_its_dataclass_says(name, fov):
     extra = ("scene.file=x.ply",) if name == "mesh" else ()
 

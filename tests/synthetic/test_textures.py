@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchrefrac.synthetic.patterns import beans, grass, gravel, noise, sand
+from torchrefrac.synthetic.patterns import beans, coral, grass, gravel, noise, rock, sand, scales
 from torchrefrac.synthetic.prints import checkerboard, label, tiles, wood
 from torchrefrac.synthetic.textures import ImageTexture, SideBySide, VertexColours, corner_uv
 
@@ -16,6 +16,9 @@ GROUNDS = {
     "beans": beans,
     "grass": grass,
     "sand": sand,
+    "rock": partial(rock, tone=(150.0, 118.0, 104.0)),
+    "coral": coral,
+    "scales": partial(scales, ground=(214.0, 128.0, 46.0), stripe=(236.0, 226.0, 208.0)),
     "label": partial(label, words="COFFEE"),
     "checkerboard": partial(checkerboard, columns=8, rows=8),
     "tiles": tiles,

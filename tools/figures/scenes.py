@@ -11,13 +11,22 @@ import numpy as np
 
 from torchrefrac.synthetic.options import CameraOptions, SyntheticOptions
 from torchrefrac.synthetic.photograph import Photographer, develop
-from torchrefrac.synthetic.scenes import CansOptions, RiverbedOptions, TankOptions, stage_of
+from torchrefrac.synthetic.scenes import (
+    AquariumOptions,
+    CansOptions,
+    HousingOptions,
+    RiverbedOptions,
+    TankOptions,
+    stage_of,
+)
 
 WIDTH, HEIGHT, GAP = 400, 300, 6
 SCENES: tuple[tuple[SyntheticOptions, tuple[int, ...]], ...] = (
     (TankOptions(name="tank", camera=CameraOptions(width=WIDTH, height=HEIGHT, fov_deg=75.0)), (0, 4, 9)),
     (CansOptions(name="cans", camera=CameraOptions(width=WIDTH, height=HEIGHT, fov_deg=60.0)), (1, 7, 14)),
     (RiverbedOptions(name="riverbed", camera=CameraOptions(width=WIDTH, height=HEIGHT, fov_deg=65.0)), (5, 12, 18)),
+    (AquariumOptions(name="aquarium", camera=CameraOptions(width=WIDTH, height=HEIGHT, fov_deg=60.0)), (0, 4, 10)),
+    (HousingOptions(name="housing", camera=CameraOptions(width=WIDTH, height=HEIGHT, fov_deg=75.0)), (3, 8, 17)),
 )
 
 

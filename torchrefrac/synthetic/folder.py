@@ -24,6 +24,7 @@ from torchrefrac.geometry.surfaces import Rectangle
 from torchrefrac.recorder import Recorder
 from torchrefrac.synthetic.attitude import Attitude, measure_attitude, measure_positions
 from torchrefrac.synthetic.drone import drone_tags
+from torchrefrac.synthetic.glass import interface_content
 from torchrefrac.synthetic.options import SyntheticOptions
 from torchrefrac.synthetic.photograph import Photographer, develop
 from torchrefrac.synthetic.stage import Stage, StageError
@@ -58,18 +59,15 @@ def render_into(
         left_over.unlink()
     names = image_names(len(stage.center))
     attitude = measure_attitude(stage.rotation, options)
-    for name, depth in zip(names, attitude.down_in_cam[:, 2].tolist(), strict=True):
-        if depth <= 0.0:
-            raise StageError(
-                f"scene {options.name}: by its measured gravity {name} looks at the sky; point the cameras further "
-                "down, or give smaller errors in inertial"
-            )
-    capture = _capture(stage, options, [photographer.intrinsics for photographer in photographers], attitude)
+    if options.at_surface:
+        _require_down(attitude, names, options)
+    intrinsics = [photographer.intrinsics for photographer in photographers]
+    capture = _capture(stage, options, intrinsics, attitude)
     sigma = stage.position_sigma
     if sigma is not None:
         positions = dict(zip(names, measure_positions(stage.center, sigma, options.seed).tolist(), strict=True))
         for image in capture["images"]:
-            if len(photographers) == 1:
+            if capture["format"] == CAPTURE_FORMAT:
                 image["center_prior"] = positions[image["name"]]
             else:
                 image |= {"position": positions[image["name"]], "position_sigma": sigma}
@@ -79,7 +77,6 @@ def render_into(
     _write_json(scene, folder / "scene.json")
     _write_json(capture, folder / "capture.json")
     _write_json(_truth(stage, options, attitude), folder / "truth.json")
-    intrinsics = [photographer.intrinsics for photographer in photographers]
     tags = drone_tags(stage, intrinsics, options) if options.metadata == "drone" else None
     for image, name in recorder.track(enumerate(names), len(names), f"rendering {options.label}", "image"):
         path = folder / "images" / name
@@ -89,6 +86,18 @@ def render_into(
             write_photograph(taken, path) if tags is None else write_with_tags(taken, tags[image], path)
     _write_truth_points(photographers, folder / POINTS_FILE)
     _write_surface(stage, folder / SURFACE_FILE)
+
+
+def _require_down(attitude: Attitude, names: Sequence[str], options: SyntheticOptions) -> None:
+    """Refuse cameras over water that by their measured gravity look at the sky."""
+    if attitude.down_in_cam is None:
+        return
+    for name, depth in zip(names, attitude.down_in_cam[:, 2].tolist(), strict=True):
+        if depth <= 0.0:
+            raise StageError(
+                f"scene {options.name}: by its measured gravity {name} looks at the sky; point the cameras further "
+                "down, or give smaller errors in inertial"
+            )
 
 
 def write_photograph(image: UInt8[np.ndarray, "height width 3"], path: Path) -> None:
@@ -106,34 +115,38 @@ def _write_json(content: dict[str, Any], path: Path) -> None:
 def _capture(
     stage: Stage, options: SyntheticOptions, intrinsics: Sequence[Intrinsics], attitude: Attitude
 ) -> dict[str, Any]:
-    """`capture.json`: the index ratio is the true one, only the first height above the water is measured. intrinsics:
-    of the cameras that take the photographs in turn."""
+    """`capture.json`: the interface is the true one, only the first height above the water, or distance from a wall, is
+    measured. intrinsics: of the cameras that take the photographs in turn."""
     several = len(intrinsics) > 1
+    is_plain = options.at_surface and attitude.down_in_cam is not None and not several
     images: list[dict[str, Any]] = []
     for i, name in enumerate(image_names(len(stage.center))):
-        image: dict[str, Any] = {"name": name, "down_in_cam": attitude.down_in_cam[i].tolist()}
+        image: dict[str, Any] = {"name": name}
+        if attitude.down_in_cam is not None:
+            image["down_in_cam"] = attitude.down_in_cam[i].tolist()
         if attitude.heading is not None:
             image["heading_deg"] = float(attitude.heading[i].rad2deg())
         if several:
             image["camera"] = str(i % len(intrinsics))
-        if i == 0:
+        if i == 0 and options.interface.kind != "port":
             image["height"] = float(stage.center[i, 2])
         images.append(image)
-    lenses: dict[str, Any] = {"intrinsics": intrinsics_content(intrinsics[0])}
-    if several:
-        lenses = {"cameras": {str(i): intrinsics_content(camera) for i, camera in enumerate(intrinsics)}}
+    lenses: dict[str, Any] = {"cameras": {str(i): intrinsics_content(camera) for i, camera in enumerate(intrinsics)}}
+    if is_plain:
+        lenses = {"intrinsics": intrinsics_content(intrinsics[0])}
+    gravity = {} if attitude.down_in_cam is None else {"down_in_cam_sigma_deg": attitude.sigma_deg}
     return {
-        **{"format": SEVERAL if several else CAPTURE_FORMAT, "length_unit": stage.length_unit},
-        **{"index_ratio": options.index_ratio, "pixel_origin": "corner", **lenses},
-        **{"down_in_cam_sigma_deg": attitude.sigma_deg, "images": images},
+        **{"format": CAPTURE_FORMAT if is_plain else SEVERAL, "length_unit": stage.length_unit},
+        **interface_content(options),
+        **{"pixel_origin": "corner", **lenses, **gravity, "images": images},
     }
 
 
 def _truth(stage: Stage, options: SyntheticOptions, attitude: Attitude) -> dict[str, Any]:
-    """`truth.json`: cameras, the planes on which flatness can be measured, index ratio and the surface's file."""
+    """`truth.json`: cameras, the planes on which flatness can be measured, the interface and the surface's file."""
     cameras = zip(image_names(len(stage.center)), stage.rotation, stage.center, attitude.true_down, strict=True)
     return {
-        **{"format": TRUTH_FORMAT, "length_unit": stage.length_unit, "index_ratio": options.index_ratio},
+        **{"format": TRUTH_FORMAT, "length_unit": stage.length_unit, **interface_content(options)},
         "surface": SURFACE_FILE,
         **({"water_extent": [list(corner) for corner in stage.water_extent]} if stage.water_extent else {}),
         "images": [

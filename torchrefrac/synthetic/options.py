@@ -15,6 +15,7 @@ from torchrefrac.scene.interfaces import MAX_INDEX_RATIO
 MAX_SAMPLES = 16
 MAX_IMAGES = 500
 LONGEST = 1e6  # of what a scene measures, in any unit
+MAX_PORT_TILT_DEG = 30.0
 MAX_SEED = 2**56  # a hundred times as much still fits into 64 bits
 
 
@@ -33,6 +34,35 @@ class WaveOptions:
         require_between(self.rms_slope, "rms_slope", 0.0, 0.3)
         require(self.longest, "longest", above=0.0, at_most=LONGEST)
         require_between(self.components, "components", 1, 64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InterfaceOptions:
+    """What photographs are taken through: a `surface` of water, z = 0; a `wall` of glass, whose dry face is z = 0; or a
+    `port` of glass that moves with the camera, everything under water.
+
+    glass_index relative to air, glass_thickness in the scene's unit: of walls and ports. distance: from a camera's
+    centre to the dry face of its port along the normal, which is turned by tilt_deg about the camera's x and y.
+    """
+
+    kind: Literal["surface", "wall", "port"] = "surface"
+    glass_index: float = 1.52
+    glass_thickness: float = 1.2
+    distance: float = 2.0
+    tilt_deg: tuple[float, ...] = (0.0, 0.0)
+
+    @classmethod
+    def in_metres(cls) -> "InterfaceOptions":
+        """A water surface, and the same glass for scenes in m."""
+        return cls(glass_thickness=0.012, distance=0.02)
+
+    def __post_init__(self) -> None:
+        require_between(self.glass_index, "glass_index", 1.0, MAX_INDEX_RATIO, "(glass: 1.52)")
+        require_ranges(self, {"glass_thickness": Range(at_least=0.0, at_most=LONGEST)})
+        require_ranges(self, {"distance": Range(above=0.0, at_most=LONGEST)})
+        if len(self.tilt_deg) != 2 or not all(abs(turn) <= MAX_PORT_TILT_DEG for turn in self.tilt_deg):
+            wanted = f"two angles up to {MAX_PORT_TILT_DEG:g} degrees"
+            raise ValueError(f"tilt_deg is {list(self.tilt_deg)}, but must be {wanted}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,17 +116,18 @@ class SensorOptions:
 class InertialOptions:
     """Errors of what the camera says of its attitude.
 
-    gravity_sigma_deg: standard deviation of the angle about each axis across the vertical, of each image's own;
-    gravity_bias_deg: the same turn (about the camera's x and y axes) in all images, such as of a sensor that is mounted
-    askew; heading_sigma_deg: of the compass heading (None: there is no compass).
+    gravity_sigma_deg: standard deviation of the angle about each axis across the vertical, of each image's own (None:
+    gravity is not measured); gravity_bias_deg: the same turn (about the camera's x and y axes) in all images, such as
+    of a sensor that is mounted askew; heading_sigma_deg: of the compass heading (None: there is no compass).
     """
 
-    gravity_sigma_deg: float = 0.5
+    gravity_sigma_deg: float | None = 0.5
     gravity_bias_deg: tuple[float, ...] = (0.0, 0.0)
     heading_sigma_deg: float | None = 5.0
 
     def __post_init__(self) -> None:
-        require_between(self.gravity_sigma_deg, "gravity_sigma_deg", 0.0, 30.0, "degrees")
+        if self.gravity_sigma_deg is not None:
+            require_between(self.gravity_sigma_deg, "gravity_sigma_deg", 0.0, 30.0, "degrees")
         if len(self.gravity_bias_deg) != 2 or not all(abs(turn) <= 30.0 for turn in self.gravity_bias_deg):
             given = list(self.gravity_bias_deg)
             raise ValueError(f"gravity_bias_deg is {given}, but must be two angles up to 30 degrees")
@@ -123,10 +154,11 @@ class SyntheticOptions:
     """How any made scene is photographed.
 
     index_ratio: true n_water / n_air. cameras: those that take the photographs in turn; none: `camera` takes all, for
-    which their path is made in any case. plane_tilt_deg: how far true gravity is from the perpendicular of the water
-    surface, about world x and y: as in a tank that is filled to a tilted lid, or a wall; the frame stays that of the
-    surface. reflection: grey value of the sky that the surface mirrors (0: it mirrors nothing). metadata: what the
-    photographs say of themselves, nothing or what `drone` would. seed decides textures, waves, noise and all errors.
+    which their path is made in any case. interface: what they are taken through. plane_tilt_deg: how far true gravity
+    is, about world x and y, from the perpendicular of the water surface, as in a tank that is filled to a tilted lid,
+    or from -y along a wall; the frame stays that of the surface or wall. reflection: grey value of the sky that the
+    surface mirrors (0: it mirrors nothing). metadata: what the photographs say of themselves, nothing or what `drone`
+    would. seed decides textures, waves, noise and all errors.
     """
 
     name: str
@@ -135,6 +167,7 @@ class SyntheticOptions:
     reflection: float = 0.0
     camera: CameraOptions = field(default_factory=CameraOptions)
     cameras: tuple[HeldCameraOptions, ...] = ()
+    interface: InterfaceOptions = field(default_factory=InterfaceOptions)
     sensor: SensorOptions = field(default_factory=SensorOptions)
     inertial: InertialOptions = field(default_factory=InertialOptions)
     waves: WaveOptions = field(default_factory=WaveOptions)
@@ -147,11 +180,18 @@ class SyntheticOptions:
         """What reports call the scene."""
         return self.name
 
+    @property
+    def at_surface(self) -> bool:
+        """Whether photographs are taken through a water surface."""
+        return self.interface.kind == "surface"
+
     def fingerprint(self) -> dict[str, Any]:
         """What decides the photographs, as plain values: all options, and the kind of scene."""
         options = asdict(self)
         if not self.cameras:
             del options["cameras"]
+        if self.at_surface:
+            del options["interface"]
         if self.metadata == "none":
             del options["metadata"], options["drone"]
         return {"scene": type(self).__name__, **options}
@@ -162,6 +202,12 @@ class SyntheticOptions:
             raise ValueError(f"plane_tilt_deg is {list(self.plane_tilt_deg)}, but must be two angles up to 45 degrees")
         require_between(self.reflection, "reflection", 0.0, 255.0)
         require_ranges(self, {"seed": Range(at_least=0, at_most=MAX_SEED)})
+        of_water = {"waves.rms_slope": self.waves.rms_slope, "reflection": self.reflection}
+        for name, value in of_water.items():
+            if value > 0.0 and not self.at_surface:
+                raise ValueError(f"{name} is {value:g}, but must be 0: interface.kind is {self.interface.kind}")
+        if self.metadata == "drone" and not self.at_surface:
+            raise ValueError(f"metadata is drone, but must be none: interface.kind is {self.interface.kind}")
 
 
 def require_images(images: int) -> None:

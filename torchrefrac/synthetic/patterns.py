@@ -1,4 +1,4 @@
-"""Grounds without a repeat: stones, beans, grass and sand, drawn from a seed, as RGB images.
+"""What repeats nowhere: stones, beans, grass, sand, rock, coral and the skin of fish, drawn from a seed, as RGB images.
 
 All have detail from some texels up to the whole image, so that keypoints of any scale find something of their own.
 """
@@ -155,6 +155,51 @@ def _many_sizes(area: float, largest: float, rng: np.random.Generator) -> Float[
 
 def _by_label(values: Shaped[np.ndarray, " n"], label: Labels, ground: float = 0.0) -> Grey:
     return np.concatenate(((ground,), values)).astype(np.float32)[label]
+
+
+def rock(size: tuple[int, int], seed: int, *, tone: tuple[float, float, float], grain: float = 2.0) -> Colours:
+    """The face of a rock of that colour: strata, cracks, pits, and patches of a crust that is lighter or darker."""
+    rng = np.random.default_rng(seed)
+    row = np.mgrid[: size[0], : size[1]][0].astype(np.float32) / size[0]
+    strata = np.sin(55.0 * row + 2.4 * noise(size, rng, finest=size[0] / 12.0))
+    cracks = np.exp(-((noise(size, rng, finest=12.0 * grain, decay=0.75) / 0.045) ** 2))
+    pits = noise(size, rng, finest=3.0 * grain, decay=0.95) > 1.7
+    crust = np.tanh(2.5 * noise(size, rng, finest=10.0 * grain, decay=0.7))
+    light = 1.0 + 0.10 * strata + 0.26 * noise(size, rng, finest=grain, decay=1.35) + 0.20 * crust
+    light = light * (1.0 - 0.5 * cracks) * np.where(pits, 0.5, 1.0)
+    tint = 1.0 + 0.10 * crust[..., None] * np.array((1.0, 0.2, -1.0), dtype=np.float32)
+    colour = light[..., None] * tint * np.array(tone, dtype=np.float32)
+    return cv2.GaussianBlur(colour, (0, 0), 0.6).clip(0, 255).astype(np.uint8)
+
+
+def coral(size: tuple[int, int], seed: int, *, ridge: float = 22.0) -> Colours:
+    """A brain coral: ridges, about `ridge` texels apart, that wind without an end, with dark grooves between them."""
+    rng = np.random.default_rng(seed)
+    winding = np.sin(5.0 * noise(size, rng, finest=1.6 * ridge, decay=0.95))
+    light = 0.76 + 0.36 * winding + 0.2 * noise(size, rng, decay=1.3)
+    tint = np.tanh(2.0 * noise(size, rng, finest=4.0 * ridge, decay=0.7))[..., None]
+    colour = np.array((196.0, 148.0, 92.0)) + tint * np.array((12.0, -16.0, 12.0))
+    polyps = noise(size, rng, finest=3.0, decay=0.95) > 1.9
+    image = (light * np.where(polyps, 1.35, 1.0))[..., None] * colour
+    return cv2.GaussianBlur(image, (0, 0), 0.6).clip(0, 255).astype(np.uint8)
+
+
+def scales(
+    size: tuple[int, int], seed: int, *, ground: tuple[float, float, float], stripe: tuple[float, float, float]
+) -> Colours:
+    """The skin of a fish, which is as long as the image is high: scales in rows, wavy stripes, speckles."""
+    rng = np.random.default_rng(seed)
+    row, column = np.mgrid[: size[0], : size[1]].astype(np.float32) / (size[0] / 34.0)
+    number = row.astype(np.int32)
+    place = column + 0.5 * (number % 2)
+    within = np.hypot(2.0 * (place % 1.0) - 1.0, row % 1.0)
+    tone = rng.normal(1.0, 0.22, (int(number.max()) + 1, int(place.max()) + 1)).astype(np.float32)
+    light = tone[number, place.astype(np.int32)] * np.where(within > 0.95, 0.55, 1.12 - 0.3 * within)
+    wave = np.sin(0.62 * row + 1.3 * noise(size, rng, finest=size[0] / 8.0) + rng.uniform(0.0, 6.0))
+    share = np.clip(3.0 * wave, 0.0, 1.0)[..., None]
+    colour = (1.0 - share) * np.array(ground) + share * np.array(stripe)
+    speckle = 1.0 + 0.16 * noise(size, rng, decay=1.0) - 0.45 * (noise(size, rng, finest=size[0] / 60.0) > 1.5)
+    return cv2.GaussianBlur(colour * (light * speckle)[..., None], (0, 0), 0.7).clip(0, 255).astype(np.uint8)
 
 
 def _offsets(label: Labels, place: Float[np.ndarray, "n 2"], radius: Float[np.ndarray, " n"]) -> tuple[Grey, Grey]:

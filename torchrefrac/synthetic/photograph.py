@@ -9,9 +9,10 @@ import torch
 from jaxtyping import Float, Float32, Int, UInt8
 from torch import Tensor
 
-from torchrefrac.camera import Intrinsics
+from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.geometry.surfaces import by_component
 from torchrefrac.parallel import side_by_side
+from torchrefrac.synthetic.glass import glass_of
 from torchrefrac.synthetic.options import CameraOptions, SensorOptions, SyntheticOptions, seeded
 from torchrefrac.synthetic.sight import Scenery, Sight
 from torchrefrac.synthetic.stage import Stage
@@ -19,11 +20,13 @@ from torchrefrac.synthetic.waves import Waves, reflectance
 
 TILE_RAYS = 1 << 15  # so many that their tensors stay in the processor's cache
 READY_BYTES = 1 << 29  # of rays that need not be undistorted again for every image
+IDEAL = Intrinsics(1, 1, torch.ones(2).double(), torch.zeros(2).double(), torch.zeros(0).double())
+"""Of a camera whose pixels are ideal image-plane coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
 class Photographer:
-    """Takes photographs of a stage through water, samples x samples rays a pixel.
+    """Takes photographs of a stage through water, or glass and water, samples x samples rays a pixel.
 
     reflection: grey value of the sky that the water mirrors, 0 for a surface that mirrors nothing.
     """
@@ -36,11 +39,12 @@ class Photographer:
 
     @classmethod
     def of(cls, stage: Stage, options: SyntheticOptions) -> "Photographer":
-        """As the options say, with their one camera."""
+        """As the options say, with their one camera. Water behind glass has no extent."""
         waves = Waves.draw(options.waves, options.seed)
+        stage = stage if options.at_surface else replace(stage, water_extent=())
         return cls(
             stage=stage,
-            scenery=Scenery(stage.pieces, options.index_ratio, waves, stage.water_extent),
+            scenery=Scenery(stage.pieces, options.index_ratio, waves, stage.water_extent, glass_of(options)),
             intrinsics=_intrinsics(options.camera),
             samples=options.sensor.samples,
             reflection=options.reflection,
@@ -56,7 +60,7 @@ class Photographer:
         quarters = torch.tensor([camera.quarter_turns for camera in options.cameras])[turns]
         quarter = torch.tensor(((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), dtype=torch.float64)
         turned = torch.stack([torch.linalg.matrix_power(quarter, int(count) % 4) for count in quarters])
-        held = replace(stage, rotation=turned @ stage.rotation)
+        held = replace(only.stage, rotation=turned @ stage.rotation)
         return tuple(replace(only, stage=held, intrinsics=_intrinsics(camera)) for camera in options.cameras)
 
     def look(self, image: int, pixels: Float[Tensor, "n 2"]) -> Sight:
@@ -104,10 +108,12 @@ class Photographer:
         return plane
 
     def _look(self, image: int, plane: Float[Tensor, "n 2"]) -> Sight:
-        rotation = self.stage.rotation[image]
+        rotation, center, glass = self.stage.rotation[image], self.stage.center[image], self.scenery.glass
+        if glass is not None:
+            return self.scenery.look_through_glass(RefractiveCamera(IDEAL, rotation, center, glass, check=False), plane)
         x, y = plane.unbind(dim=-1)
         directions = (rotation[:2].mT @ plane.mT + rotation[2][:, None]) / (x * x + y * y + 1.0).sqrt()
-        return self.scenery.look(self.stage.center[image], directions.mT, moment=image)
+        return self.scenery.look(center, directions.mT, moment=image)
 
     def _colors(self, sight: Sight) -> Float32[Tensor, "n 3"]:
         """RGB from 0 to 255."""

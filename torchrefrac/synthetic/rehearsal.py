@@ -20,19 +20,20 @@ def rehearse(photographers: Sequence[Photographer], options: SyntheticOptions, n
     """Refuse what would make photographs that nobody can use. photographers: who take them in turn.
 
     Raises StageError, one sentence, where the distortion folds the image over itself, a camera does not stand above the
-    water, an image sees the scene in less than a quarter of a coarse grid of pixels, or no pixel of any image sees
-    anything through the water.
+    water or before the wall, an image sees the scene in less than a quarter of a coarse grid of pixels, or no pixel of
+    any image sees anything through the water.
     """
     grids = [_grid(photographer.intrinsics) for photographer in photographers]
-    stage, crest, wet = photographers[0].stage, photographers[0].scenery.crest, 0
+    stage, scenery, wet = photographers[0].stage, photographers[0].scenery, 0
     for image, name in enumerate(names):
         photographer, grid = photographers[image % len(photographers)], grids[image % len(photographers)]
         height = float(stage.center[image, 2])
-        if not height > crest:
-            surface = "the water, z = 0" if crest == 0.0 else f"the crests of the waves, z = {crest:.3g}"
+        if not height > scenery.crest and not scenery.is_submerged:
+            surface = "above the water, z = 0" if options.at_surface else "before the glass, z = 0"
+            surface = surface if scenery.crest == 0.0 else f"above the crests of the waves, z = {scenery.crest:.3g}"
             raise StageError(
                 f"scene {options.name}: the camera of {name} stands at z = {height:.4g} {stage.length_unit}, but must "
-                f"stand above {surface}; raise the camera path"
+                f"stand {surface}; raise the camera path"
             )
         sight = photographer.look(image, grid)
         seen = sight.piece >= 0
@@ -45,10 +46,10 @@ def rehearse(photographers: Sequence[Photographer], options: SyntheticOptions, n
             )
         wet += int((seen & sight.in_water).sum())
     if wet == 0:
-        raise StageError(
-            f"scene {options.name} lies above the water: no camera sees anything below z = 0; lower the scene or "
-            "raise the water"
-        )
+        where, remedy = "above the water", "lower the scene or raise the water"
+        if not options.at_surface:
+            where, remedy = "before the glass", "move it behind"
+        raise StageError(f"scene {options.name} lies {where}: no camera sees anything below z = 0; {remedy}")
 
 
 def _grid(intrinsics: Intrinsics) -> Float[Tensor, "n 2"]:

@@ -1,4 +1,4 @@
-"""What rays see that go straight through air and bend where they enter the water."""
+"""What rays see that go straight through air and bend where they enter the water, or at glass before it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,22 +45,30 @@ class Sight:
 @dataclass(frozen=True, eq=False)
 class Scenery:
     """Pieces in and above water whose surface is z = 0, or has waves about it. extent: corners of the water as seen
-    from above, beyond which nothing is bent; none: it is everywhere."""
+    from above, beyond which nothing is bent; none: it is everywhere. glass: the water stands behind it instead, behind
+    a wall whose dry face is z = 0 or around a port, which leaves nothing dry."""
 
     pieces: Sequence[Piece]
     index_ratio: float
     waves: Waves | None = None
     extent: Sequence[tuple[float, float]] = ()
+    glass: FlatInterface | None = None
 
     @cached_property
     def below(self) -> tuple[int, ...]:
         """Indices of the pieces that reach below some of the water surface."""
-        return tuple(i for i, (low, _) in enumerate(self._reach) if low < self.crest)
+        return tuple(i for i, (low, _) in enumerate(self._reach) if low < self.crest or self.is_submerged)
 
     @cached_property
     def above(self) -> tuple[int, ...]:
         """Indices of the pieces that reach above some of the water surface; of all where there is none somewhere."""
-        return tuple(i for i, (_, high) in enumerate(self._reach) if high > -self.crest or self.extent)
+        reach = () if self.is_submerged else self._reach
+        return tuple(i for i, (_, high) in enumerate(reach) if high > -self.crest or self.extent)
+
+    @property
+    def is_submerged(self) -> bool:
+        """Whether all is under water, the cameras too."""
+        return self.glass is not None and self.glass.moves_with_camera
 
     @property
     def crest(self) -> float:
@@ -83,6 +91,22 @@ class Scenery:
         if self.extent:
             corners = torch.tensor(self.extent, dtype=start.dtype)
             entry = entry._replace(valid=entry.valid & inside_polygon(start[:, :2], corners))
+        return self._meet(center, directions, entry, start)
+
+    def look_through_glass(self, camera: RefractiveCamera, pixels: Float[Tensor, "n 2"]) -> Sight:
+        """What a camera, whose interface is `glass`, sees at pixels. A ray ends on what it meets before a wall, else it
+        is bent at both of its faces; one that glass reflects goes on straight, and sees nothing that lies in water."""
+        start, directions, onward, valid = camera.follow_rays(pixels)
+        plane, center = camera.plane_in_world(), camera.center_in_world
+        cosine = -directions @ plane.normal_like(center)
+        length = plane.signed_distance(center) / torch.where(valid, cosine, 1.0)
+        entry = Entry(length, by_component(onward), cosine, valid)
+        return self._meet(center, by_component(directions), entry, by_component(start))
+
+    def _meet(
+        self, center: Float[Tensor, " 3"], directions: Float[Tensor, "n 3"], entry: Entry, start: Float[Tensor, "n 3"]
+    ) -> Sight:
+        """What rays meet from center to the water, which they enter at start, or in it."""
         wet = self._nearest(self.below, start, entry.direction)
         wet = wet._replace(
             length=torch.where(entry.valid, wet.length, torch.inf), surface=torch.where(entry.valid, wet.surface, -1)
@@ -117,11 +141,14 @@ class Scenery:
 def see(
     pieces: Sequence[Piece], camera: RefractiveCamera, pixels: Float[Tensor, "n 2"], waves: Waves | None = None
 ) -> Sight:
-    """What one camera over water sees at pixels; its interface is a water surface at z = 0.
+    """What one camera sees at pixels; its interface is a water surface at z = 0, a wall of glass there, or a port.
 
     With waves the interface gives nothing but its index ratio.
     """
-    scenery = Scenery(pieces, float(camera.interface.index_like(camera.center_in_world)), waves)
+    index_ratio = float(camera.interface.index_like(camera.center_in_world))
+    if camera.interface.layers is not None:
+        return Scenery(pieces, index_ratio, glass=camera.interface).look_through_glass(camera, pixels)
+    scenery = Scenery(pieces, index_ratio, waves)
     return scenery.look(camera.center_in_world, camera.view_directions(pixels))
 
 

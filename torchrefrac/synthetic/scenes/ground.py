@@ -1,13 +1,20 @@
-"""The ground of a river: heights and colours, as images whose first row is the northernmost."""
+"""The ground under water: heights, as a surface too, and colours, as images whose first row is the northernmost."""
 
 import cv2
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, Shaped
 
+from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.synthetic.patterns import Colours, grass, gravel, noise, sand
 
 Heights = Float[np.ndarray, "rows columns"]
 BANK = 0.48  # where the water ends, from the middle, in half widths of the ground
+
+
+def cells(half: tuple[float, float], step: float) -> tuple[int, int]:
+    """Rows and columns of cells of a ground, `step` wide."""
+    return round(2.0 * half[1] / step), round(2.0 * half[0] / step)
 
 
 def places(
@@ -73,10 +80,10 @@ def colours(
     level = cv2.resize(height.astype(np.float32), size[::-1], interpolation=cv2.INTER_LINEAR)
     patchy = noise(size, rng, finest=24.0, decay=0.6)
     stones = gravel(size, 10 * seed + 3, stone=20.0, tint=9.0).astype(np.float32) * 1.15
-    share = _step(patchy + 0.9 * _step(level / height.max() + 0.2), 0.25)
-    colour = _mix(sand(size, 10 * seed + 4, ripple=26.0), stones, share)
+    share = step(patchy + 0.9 * step(level / height.max() + 0.2), 0.25)
+    colour = mixed(sand(size, 10 * seed + 4, ripple=26.0), stones, share)
     meadow = grass(size, 10 * seed + 5, blade=40.0).astype(np.float32) * 1.25
-    colour = _mix(colour, meadow, _step((level - 0.45 * height.max()) / (0.12 * height.max()) + 0.5 * patchy))
+    colour = mixed(colour, meadow, step((level - 0.45 * height.max()) / (0.12 * height.max()) + 0.5 * patchy))
     rocks = np.ones(size, dtype=np.float32)
     tones = rng.uniform(0.55, 1.25, len(boulders))
     scale = size[1] / (2.0 * half[0])
@@ -86,17 +93,30 @@ def colours(
     rough = 1.0 + 0.20 * noise(size, rng, decay=0.95) + 0.10 * noise(size, rng, decay=1.3)
     face = (rocks * rough)[..., None] * np.array((134.0, 130.0, 122.0), dtype=np.float32)
     edge = cv2.resize(rocky.astype(np.float32), size[::-1], interpolation=cv2.INTER_LINEAR)
-    colour = _mix(colour, face, _step(edge - 0.5, 0.3))
+    colour = mixed(colour, face, step(edge - 0.5, 0.3))
     damp = 1.0 - 0.35 * np.exp(-((level / (0.05 * height.max() + 0.01)) ** 2))
     return (colour * damp[..., None]).clip(0, 255).astype(np.uint8)
 
 
-def _step(values: Float[np.ndarray, "h w"], width: float = 1.0) -> Float[np.ndarray, "h w"]:
+def height_field(height: Heights, half: tuple[float, float]) -> TriangleMesh:
+    """Two triangles for every four neighbours; texture coordinates are those of an image that covers the ground."""
+    rows, columns = height.shape
+    x, y = places(height.shape, half)
+    vertices = np.stack((np.broadcast_to(x, height.shape), np.broadcast_to(y, height.shape), height), axis=-1)
+    node = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = (corner.ravel() for corner in (node[:-1, :-1], node[1:, :-1], node[1:, 1:], node[:-1, 1:]))
+    faces = np.concatenate((np.stack((a, b, c), axis=-1), np.stack((a, c, d), axis=-1)))
+    uv = 0.5 * (vertices.reshape(-1, 3)[:, :2] / np.array(half) + 1.0)
+    return TriangleMesh(torch.from_numpy(vertices.reshape(-1, 3)), torch.from_numpy(faces), torch.from_numpy(uv))
+
+
+def step(values: Float[np.ndarray, "h w"], width: float = 1.0) -> Float[np.ndarray, "h w"]:
     """0 far below zero, 1 far above."""
     return 1.0 / (1.0 + np.exp(-4.0 * np.clip(values / width, -10.0, 10.0)))
 
 
-def _mix(
+def mixed(
     first: Shaped[np.ndarray, "h w 3"], second: Shaped[np.ndarray, "h w 3"], share: Float[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "h w 3"]:
+    """The first colours where share is 0, the second where it is 1."""
     return first + (second - first) * share[..., None].astype(np.float32)

@@ -4,7 +4,7 @@ import hashlib
 import math
 import struct
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.checks import Range, require_ranges
-from torchrefrac.synthetic.options import LONGEST, SyntheticOptions, require_heights, require_images
+from torchrefrac.synthetic.options import LONGEST, InterfaceOptions, SyntheticOptions, require_heights, require_images
 from torchrefrac.synthetic.paths import look_at, ring, rolls
 from torchrefrac.synthetic.patterns import sand
 from torchrefrac.synthetic.scenes.mesh_colours import coloured
@@ -53,6 +53,7 @@ class MeshOptions(SyntheticOptions):
     heights: tuple[float, ...] | None = None
     ground: bool = True
     length_unit: str = "m"
+    interface: InterfaceOptions = field(default_factory=InterfaceOptions.in_metres)
 
     def __post_init__(self) -> None:
         super().__post_init__()

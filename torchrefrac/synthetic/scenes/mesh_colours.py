@@ -31,7 +31,7 @@ def coloured(mesh: "trimesh.Trimesh", vertices: Float[Tensor, "v 3"], seed: int)
     if colours is not None:
         return TriangleMesh(apart, own, corner_uv(len(faces))), VertexColours(colours)
     stone = ImageTexture(gravel((1536, 1536), 10 * seed + 1, stone=36.0, tint=14.0), repeat=True)
-    return TriangleMesh(apart, own, _box_uv(vertices[faces])), stone
+    return TriangleMesh(apart, own, box_uv(vertices[faces])), stone
 
 
 def _image(mesh: "trimesh.Trimesh") -> UInt8[np.ndarray, "height width 3"] | None:
@@ -54,7 +54,7 @@ def _corner_colours(mesh: "trimesh.Trimesh") -> Float32[Tensor, "f 3 3"] | None:
     return torch.from_numpy(table.astype(np.float32))
 
 
-def _box_uv(corners: Float[Tensor, "f 3 3"]) -> Float[Tensor, "3*f 2"]:
+def box_uv(corners: Float[Tensor, "f 3 3"]) -> Float[Tensor, "3*f 2"]:
     """Texture coordinates of the corners of triangles: the image is laid on each side of a box about the mesh,
     and a face has that of the side that it faces most. Once across the image is the longest side of the box."""
     low, high = corners.reshape(-1, 3).amin(dim=0), corners.reshape(-1, 3).amax(dim=0)

@@ -1,7 +1,7 @@
 """A river's bed with boulders and a dry bank, photographed from a drone. Lengths in m."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -9,10 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.checks import require, require_between
-from torchrefrac.geometry.triangle_mesh import TriangleMesh
-from torchrefrac.synthetic.options import LONGEST, MAX_IMAGES, SyntheticOptions
+from torchrefrac.synthetic.options import LONGEST, MAX_IMAGES, InterfaceOptions, SyntheticOptions
 from torchrefrac.synthetic.paths import grid, look_at, ring, rolls
-from torchrefrac.synthetic.scenes.ground import bed, boulders, colours, places, with_boulders
+from torchrefrac.synthetic.scenes.ground import bed, boulders, cells, colours, height_field, with_boulders
 from torchrefrac.synthetic.stage import Piece, Stage
 from torchrefrac.synthetic.textures import ImageTexture
 
@@ -37,6 +36,7 @@ class RiverbedOptions(SyntheticOptions):
     obliques: int = 6
     boulders: int = 240
     position_sigma: float | None = 0.03
+    interface: InterfaceOptions = field(default_factory=InterfaceOptions.in_metres)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -73,16 +73,16 @@ def riverbed_stage(options: RiverbedOptions) -> Stage:
     """The river under the sun."""
     rng = np.random.default_rng(options.seed)
     half = options.half_size
-    size = _cells(half, NODE * options.altitude)
+    size = cells(half, NODE * options.altitude)
     stones = boulders(half, options.boulders, rng)
     smooth = bed(size, half, options.depth, rng)
     height = with_boulders(smooth, half, stones, rng)
     rocky = height > smooth
     height[height < 0.0] *= options.depth / -min(float(height.min()), -1e-3)
-    image = colours(_cells(half, TEXEL * options.altitude), half, height, rocky, stones, options.seed)
+    image = colours(cells(half, TEXEL * options.altitude), half, height, rocky, stones, options.seed)
     rotation, center = _flight(options)
     return Stage(
-        pieces=(Piece("riverbed", _mesh(height, half), ImageTexture(image)),),
+        pieces=(Piece("riverbed", height_field(height, half), ImageTexture(image)),),
         rotation=rotation,
         center=center,
         length_unit="m",
@@ -103,19 +103,3 @@ def _flight(options: RiverbedOptions) -> tuple[Float[Tensor, "m 3 3"], Float[Ten
     around = ring(options.obliques, radius, [options.altitude], (10.0, 370.0))
     slanted = look_at(around, torch.zeros_like(around), rolls(len(around), 2.0))
     return torch.cat((straight, slanted)), torch.cat((down, around))
-
-
-def _cells(half: tuple[float, float], step: float) -> tuple[int, int]:
-    """Rows and columns."""
-    return round(2.0 * half[1] / step), round(2.0 * half[0] / step)
-
-
-def _mesh(height: Float[np.ndarray, "rows columns"], half: tuple[float, float]) -> TriangleMesh:
-    rows, columns = height.shape
-    x, y = places(height.shape, half)
-    vertices = np.stack((np.broadcast_to(x, height.shape), np.broadcast_to(y, height.shape), height), axis=-1)
-    node = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = (corner.ravel() for corner in (node[:-1, :-1], node[1:, :-1], node[1:, 1:], node[:-1, 1:]))
-    faces = np.concatenate((np.stack((a, b, c), axis=-1), np.stack((a, c, d), axis=-1)))
-    uv = 0.5 * (vertices.reshape(-1, 3)[:, :2] / np.array(half) + 1.0)
-    return TriangleMesh(torch.from_numpy(vertices.reshape(-1, 3)), torch.from_numpy(faces), torch.from_numpy(uv))

@@ -1,13 +1,16 @@
-"""Rectangles and boxes as pieces of a scene, from plain numbers."""
+"""Rectangles and boxes as pieces of a scene, from plain numbers, and how pieces are moved."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.geometry.surfaces import Rectangle
+from torchrefrac.geometry import rotate
+from torchrefrac.geometry.surfaces import Cylinder, Rectangle, Surface
+from torchrefrac.geometry.triangle_mesh import TriangleMesh
 
 Vector = Sequence[float]
 
@@ -42,3 +45,14 @@ def footprint(middle: Vector, size: Vector, turn_deg: float = 0.0) -> list[tuple
     half = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
     offsets = [(x * size[0], y * size[1]) for x, y in half]
     return [(middle[0] + c * x - s * y, middle[1] + s * x + c * y) for x, y in offsets]
+
+
+def moved(surface: Surface, rotation: Float[Tensor, "3 3"], origin: Float[Tensor, " 3"]) -> Surface:
+    """The same surface where x = rotation x + origin. Raises TypeError for one of no known kind."""
+    if isinstance(surface, Rectangle):
+        return Rectangle(rotation @ surface.corner + origin, rotation @ surface.edge1, rotation @ surface.edge2)
+    if isinstance(surface, Cylinder):
+        return Cylinder(rotation @ surface.base + origin, rotation @ surface.axis, surface.radius)
+    if isinstance(surface, TriangleMesh):
+        return replace(surface, vertices=rotate(rotation, surface.vertices) + origin)
+    raise TypeError(f"surface is {type(surface).__name__}, but must be a rectangle, a cylinder or a mesh of triangles")
