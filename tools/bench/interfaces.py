@@ -3,10 +3,10 @@ costs to leave something of it out.
 
     python tools/bench/interfaces.py [aquarium] [housing] [--only NAME ...] [--folder FOLDER]
 
-Both scenes are made and rendered (`scene=aquarium`, `scene=housing`), and reconstructed from captures that state more or
-less: without the glass, without gravity, without any distance from the glass; with a port that is stated wrongly by 5 mm
-and 2 degrees, and to be so uncertain; and the dive with a pinhole whose focal length and radial distortion are free.
-Cameras are compared after an alignment in four degrees of freedom before a wall, after a similarity otherwise.
+Both scenes are made and rendered (`scene=aquarium`, `scene=housing`), and reconstructed from captures that state more
+or less: without the glass, without gravity, without any distance from the glass; with a port that is stated wrongly by
+5 mm and 2 degrees, and to be so uncertain; and the dive with a pinhole whose focal length and radial distortion are
+free. Cameras are compared after an alignment in four degrees of freedom before a wall, after a similarity otherwise.
 """
 
 import argparse
