@@ -21,6 +21,7 @@ from torchrefrac.bundle.gauge import gauge_directions
 from torchrefrac.geometry import heading_rotation, so3_exp
 from torchrefrac.optim import Step
 from torchrefrac.scene import Interfaces
+from torchrefrac.scene.interfaces import PORT
 
 in_water_and_air = pytest.mark.parametrize(("index_ratio", "freedoms"), [(1.333, 4), (1.0, 7)], ids=["water", "air"])
 WATER, AIR = 1.333, 1.0
@@ -87,6 +88,24 @@ CASES = {
     "two free levels": (WATER, 5, {"refine": ("plane_height",), "levels": 2}),
     "two known levels": (WATER, 3, {"levels": 2}),
     "two free waters": (WATER, 7, {"refine": BOTH, "levels": 2}),
+    "a wall of known glass": (WATER, 3, {"glass": 1.0}),
+    "a wall of glass of any thickness": (WATER, 4, {"glass": 1.0, "refine": ("layer_thickness",)}),
+    "a wall of glass of any index": (WATER, 3, {"glass": 1.0, "refine": ("layer_index",)}),
+    "a free wall of known glass": (WATER, 6, {"glass": 1.0, "refine": BOTH}),
+    "a free wall of any glass": (WATER, 7, {"glass": 1.0, "refine": ("layer_index", "layer_thickness", *BOTH)}),
+    "a known port": (WATER, 6, {"port": True}),
+    "a known port of glass": (WATER, 6, {"port": True, "glass": 1.0}),
+    "a known port and gravity": (WATER, 4, {"port": True, "gravity": True}),
+    "a port that is tilted anyhow": (WATER, 6, {"port": True, "refine": ("plane_tilt",)}),
+    "a port at any distance": (WATER, 7, {"port": True, "refine": BOTH}),
+    "a port of known glass at any distance": (WATER, 6, {"port": True, "glass": 1.0, "refine": BOTH}),
+    "a port of any glass at any distance": (
+        WATER,
+        7,
+        {"port": True, "glass": 1.0, "refine": ("layer_thickness", *BOTH)},
+    ),
+    "a bar through a port": (WATER, 6, {"port": True, "terms": [_bar]}),
+    "a bar through a port at any distance": (WATER, 6, {"port": True, "refine": BOTH, "terms": [_bar]}),
     "air": (AIR, 7, {}),
     "air and free intrinsics": (AIR, 7, {"refine": ("focal", "radial")}),
     "air and gravity": (AIR, 5, {"gravity": True}),
@@ -109,7 +128,7 @@ def case_of(plant):
         index_ratio, _, options = CASES[name]
         options = dict(options)
         planted = plant(views=5, points=14, index_ratio=index_ratio)
-        planted = _with(planted, shore=2, levels=options.pop("levels", 1))
+        planted = _with(planted, 2, *(options.pop(name, None) for name in ("levels", "glass", "port")))
         terms = [term(planted.truth) for term in options.pop("terms", [])]
         terms += [planted.gravity] if options.pop("gravity", False) else []
         fixed = torch.zeros(5, 6, dtype=torch.bool)
@@ -248,13 +267,22 @@ def _moved(state, turn, shift, scale):
     )
 
 
-def _with(planted, shore, levels):
-    """The first points put on the water, and the water of the last cameras two centimetres higher."""
+def _with(planted, shore, levels=None, glass=None, port=None):
+    """The first points put on the water, and the water of the last cameras two centimetres higher; through glass of
+    this thickness, or through ports."""
     points = planted.truth.points.clone()
     points[:shore, 2] = 0.0
     water = planted.truth.interfaces
+    levels = levels or 1
     normal, ratio = water.normal.expand(levels, 3), water.index_ratio.expand(levels)
     interfaces = Interfaces(normal, water.offset + 2.0 * torch.arange(levels), ratio)
+    if port:
+        ahead = torch.tensor([[0.03, -0.02, -1.0]], dtype=torch.float64)
+        ahead = torch.nn.functional.normalize(ahead, dim=-1)
+        interfaces = Interfaces(ahead, torch.full_like(ratio, -2.0), ratio, kinds=(PORT,))
+    if glass:
+        thickness = torch.full_like(ratio, glass)[:, None]
+        interfaces = replace(interfaces, layers=torch.full_like(thickness, 1.52), thickness=thickness)
     views = replace(planted.truth.views, interface=torch.arange(5) % levels)
     truth = replace(planted.truth, views=views, interfaces=interfaces, points=points)
     seen = planted.observations

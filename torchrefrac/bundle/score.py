@@ -8,19 +8,19 @@ from torch import Tensor
 
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.problem import BundleProblem
-from torchrefrac.bundle.rows import INTRINSICS, WATER
+from torchrefrac.bundle.rows import INTRINSICS, MEDIA, WATER
 from torchrefrac.optim import Covariance, SingularError
 from torchrefrac.scene import Scene
 
-Given = Literal["index_ratio", "focal"]
+Given = Literal["index_ratio", "layer_thickness", "focal"]
 
 
 def wished_changes(
     problem: BundleProblem, scene: Scene, name: Given, pixel_sigma: float
 ) -> dict[str, tuple[float, float]]:
-    """One Gauss-Newton step of `name` (the index ratio, or the logarithm of the focal length) from the minimum `scene`
-    of `problem`, in which it does not vary, everything else following; and its standard deviation. Keys: `name`, or
-    where there are several cameras `name` and which (see `Cameras.label`).
+    """One Gauss-Newton step of `name` (the index ratio, the thickness of the layer before the water, or the logarithm
+    of the focal length) from the minimum `scene` of `problem`, in which it does not vary, everything else following;
+    and its standard deviation. Keys: `name`, or where there are several cameras `name` and which (see `Cameras.label`).
 
     Empty where it varies already, or nothing determines it. Near the minimum the step is where an adjustment with it
     would end (Rao's score test, 1948); far off it still has the right sign.
@@ -28,7 +28,7 @@ def wished_changes(
     layout = problem.layout
     if name in (*layout.intrinsics, *layout.water) and name not in layout.fixed_intrinsics:
         return {}
-    if name == "index_ratio":
+    if name in MEDIA:
         layout = replace(layout, water=tuple(n for n in WATER if n in (name, *layout.water)))
     else:
         intrinsics = tuple(n for n in INTRINSICS if n in (name, *layout.intrinsics))
@@ -49,7 +49,7 @@ def wished_changes(
 def columns_of(scene: Scene, layout: Layout, name: Given, which: Bool[Tensor, "g 1"] | None = None) -> dict[str, int]:
     """Where the index ratio, or the focal lengths of the cameras that take part, stand among the reduced unknowns.
     which: of these cameras alone."""
-    if name == "index_ratio":
+    if name in MEDIA:
         return {name: layout.medium_column(name)}
     rows = layout.camera.unique()
     rows = rows if which is None else rows[which[rows, 0]]

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from torchrefrac.refraction.interface import GLASS
 from torchrefrac.scene import Capture, Finding, Scene, WarningCode
 from torchrefrac.sfm.focal import GROSS
 from torchrefrac.sfm.gravity import contradicted_gravity, with_common_tilt
@@ -24,7 +25,7 @@ FEW, WORSE = 0.5, 4.0
 """Share of the observations of the typical view, and times its error: a view with fewer, larger ones is weak."""
 SURE = 4.0
 """Standard deviations of a wished change."""
-NOTABLE_INDEX, NOTABLE_FOCAL, VAGUE_FOCAL = 0.01, 0.02, 0.2
+NOTABLE_INDEX, NOTABLE_FOCAL, VAGUE_FOCAL, NOTABLE_GLASS = 0.01, 0.02, 0.2, 0.25
 DOUBTFUL = 3.0
 """Standard deviations by which what is stated with a sigma may be off."""
 UNCERTAIN = (("focal", "the focal length", " px"), ("principal_point", "the principal point", " px"))
@@ -60,7 +61,10 @@ def about_given(scene: Scene) -> tuple[Finding, ...]:
     if scene.index_ratio <= 1.0:
         return tuple(_unmodelled(scene))
     intrinsics = _intrinsics(scene)
-    return tuple(intrinsics) if _lens_is_grossly_wrong(scene) else (*_levels(scene), *intrinsics, *_water(scene))
+    about_lens = tuple(intrinsics)
+    return (
+        about_lens if _lens_is_grossly_wrong(scene) else (*_levels(scene), *about_lens, *_water(scene), *_glass(scene))
+    )
 
 
 def about_images(scene: Scene) -> tuple[Finding, ...]:
@@ -92,6 +96,21 @@ def _duplicates(stated: Capture) -> list[Finding]:
         for names in groups.values()
         if len(names) > 1
     ]
+
+
+def _glass(scene: Scene) -> list[Finding]:
+    """Of a wall or port: glass that is missing in what was stated, or has another thickness."""
+    step, sigma = scene.assessment.wished.get("layer_thickness", (0.0, 1.0))
+    stated, unit = float(scene.interfaces.thickness.max()) if scene.interfaces.has_layers else 0.0, scene.length_unit
+    if abs(step) <= max(SURE * sigma, NOTABLE_GLASS * stated):
+        return []
+    seen = f"{max(stated + step, 0.0):.2g} {unit} +- {sigma:.1g} of glass (index {GLASS:g})"
+    what = f"{stated:.3g} {unit} are stated" if stated else "none is stated"
+    message = (
+        f"the images ask for {seen} before the water, but {what}: state its thickness and index among the layers of "
+        "the interface, or check the stated distances and the intrinsics"
+    )
+    return [Finding(WarningCode.INDEX_CONTRADICTS, message)]
 
 
 def _wall(scene: Scene, stated: Capture) -> list[Finding]:

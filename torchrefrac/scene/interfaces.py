@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchrefrac.geometry import Plane
 from torchrefrac.refraction import FlatInterface
+from torchrefrac.refraction.interface import GLASS
 
 Kind = Literal["surface", "wall", "port"]
 SURFACE: Kind = "surface"
@@ -19,6 +20,8 @@ PORT: Kind = "port"
 KINDS: tuple[Kind, ...] = (SURFACE, WALL, PORT)
 """Water that is open above; a wall, fixed in the world, as of an aquarium; the port of a housing, which moves with the
 camera: its plane is in the frame of the camera then."""
+NO_THICKNESS = 1e-12
+"""Of a layer that is there, but does nothing."""
 MAX_INDEX_RATIO = 3.0  # beyond any liquid
 INDEX_RATIO_RANGE = f"n_water / n_air lies between 1 and {MAX_INDEX_RATIO:g} (water: 1.333)"
 
@@ -176,6 +179,18 @@ class Interfaces:
     def moved(self, **tensors: Float[Tensor, "e *width"]) -> "Interfaces":
         """With other numbers than were stated."""
         return replace(self, **tensors, stated=self.stated or self)
+
+    @property
+    def may_have_glass(self) -> bool:
+        """Whether there is a wall or port, with one layer before the water or none, where one may be missing."""
+        return set(self.kinds) != {SURFACE} and self.layers.shape[-1] <= 1 and self.refract()
+
+    def with_glass(self) -> "Interfaces":
+        """The same with a layer of glass that is as good as none, where there is no layer."""
+        if self.has_layers:
+            return self
+        none = torch.full_like(self.offset, NO_THICKNESS)[:, None]
+        return replace(self, layers=torch.full_like(none, GLASS), thickness=none)
 
     def with_index_ratio(self, ratio: float) -> "Interfaces":
         """With another water; at a ratio of 1, which is that of a scene without refraction, without layers, too."""

@@ -37,9 +37,9 @@ class Assessment:
     refined of them ("focal", relative, "principal_point", "radial", "distortion"), of each camera; zero where it was
     not.
     determined: sentences about water, intrinsics and scale; fixed: what was to be refined, but is not determined, and
-    why. wished: by how much "index_ratio" and the logarithm of the "focal" length (of each camera, see
-    `Cameras.label`), which were given, would change if the images had a say, and the standard deviations of these
-    changes; of a grossly wrong focal length, that alone.
+    why. wished: by how much "index_ratio", "layer_thickness" (of glass before the water) and the logarithm of the
+    "focal" length (of each camera, see `Cameras.label`), which were given, would change if the images had a say, and
+    the standard deviations of these changes; of a grossly wrong focal length, that alone.
     disputed: how many tracks are seen straight, as their observations say, though they lie within the stated extent of
     the water, and how many through water, though beyond.
     levels: by how much the water stands higher for some views than for the others, for which it is 0; None where one

@@ -185,6 +185,9 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
     centers = known.pose[:, 3:, 3:]
     tilts = [each.posterior for each in found if each.name == "plane_tilt" and "plane_tilt" in problem.layout.water]
     wished = [wished_changes(problem, scene, name, known.pixel_sigma).items() for name in GIVEN]
+    if scene.interfaces.may_have_glass:
+        glazed = replace(scene, interfaces=scene.interfaces.with_glass())
+        wished.append(wished_changes(problem, glazed, "layer_thickness", known.pixel_sigma).items())
     return Assessment(
         pixel_sigma=known.pixel_sigma,
         point_covariance=known.points,
