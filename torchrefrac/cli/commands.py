@@ -19,10 +19,12 @@ from torchrefrac.cli.conf import CONF
 from torchrefrac.cli.failures import EXPECTED, keep_failure, may_hold_failure, record_text, tell
 from torchrefrac.commands.adjust import adjust_run, require_apart
 from torchrefrac.commands.densify import SparseRun, densify_run, open_run
+from torchrefrac.commands.frames import SUMMARY, densify_frames, frame_lines
 from torchrefrac.commands.memory import memory_lack_explained
 from torchrefrac.commands.reconstruct import run
 from torchrefrac.commands.results import OPTIONS, require_not_replaced, require_outside, results_in
 from torchrefrac.config import AdjustOptions, DensifyOptions, FolderOptions, RunOptions, scene_folder
+from torchrefrac.dense import DenseError
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.run import RunRecord
 from torchrefrac.files.swap import home
@@ -30,6 +32,7 @@ from torchrefrac.files.truth import load_truth
 from torchrefrac.html import write_report
 from torchrefrac.record.recorders import RunRecorders, run_recorders
 from torchrefrac.record.summary import adjustment_lines, dense_lines, reconstruction_lines, summary, survey_lines
+from torchrefrac.record.terminal import TerminalRecorder
 from torchrefrac.recorder import SilentRecorder
 from torchrefrac.scene import Capture
 from torchrefrac.sweeps.jobs import by_name
@@ -122,6 +125,13 @@ def densify(config: DictConfig) -> None:
     """`torchrefrac densify`."""
     with may_fail(), memory_lack_explained():
         options = densify_options(config)
+        if options.frames is not None:
+            rows = densify_frames(options, SilentRecorder() if options.quiet else TerminalRecorder())
+            if not options.quiet:
+                print(summary(frame_lines(rows)))
+            if any(row["status"] != "complete" for row in rows):
+                raise DenseError(f"some frames are not dense; {os.path.join(options.out or '', SUMMARY)} says why")
+            return
         sparse = open_run(Path(options.run), options.capture)
         before = record_text(sparse.folder)
         try:

@@ -4,7 +4,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +12,7 @@ import torch
 from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
+from torchrefrac.commands.photographs import extract, match_all
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.commands.survey_products import require_place
 from torchrefrac.config import Options, WaterOptions
@@ -22,9 +22,8 @@ from torchrefrac.evaluate.land import land_difference
 from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.evaluate.survey_consistency import position_contradictions
 from torchrefrac.evaluate.survey_metrics import survey_metrics
-from torchrefrac.features import Features, PairMatches, build_tracks, extract_sift, match
+from torchrefrac.features import Features, PairMatches, build_tracks
 from torchrefrac.figures.matches import StagePictures
-from torchrefrac.files.masks import Masks
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.survey import SURVEY, read_survey
 from torchrefrac.recorder import Recorder, SilentRecorder
@@ -88,8 +87,8 @@ def reconstruct(
     stage = _Stages(on_stage)
     generator = torch.Generator().manual_seed(options.seed)
 
-    features = stage("features", lambda: _extract(capture, options, recorder))
-    matches = stage.part("matching", lambda: _match(features, options, recorder))
+    features = stage("features", lambda: extract(capture, options, recorder))
+    matches = stage.part("matching", lambda: match_all(features, options, recorder))
     ratio, stated = options.water.ratio_of(capture.index_ratio), capture
     if options.model.name == "refractive" and ratio > 1.0 and not capture.interfaces.move_with_camera:
         known = matches, features, ratio, options.sfm
@@ -238,22 +237,6 @@ def _initializer(
         return PinholeInitializer(capture, sfm), sfm
     make = PortInitializer if capture.interfaces.move_with_camera else RefractiveInitializer
     return make(capture, ratio, sfm), sfm
-
-
-def _extract(capture: Capture, options: Options, recorder: Recorder) -> list[Features]:
-    masks = Masks(capture)
-    sizes = [capture.cameras.sizes[camera] for camera in capture.camera.tolist()]
-    how = options.features.for_images(sum(width * height for width, height in sizes) / len(sizes))
-    paths = recorder.track(capture.paths, len(capture), "features", "image")
-    return [extract_sift(path, how, masks.used(i)) for i, path in enumerate(paths)]
-
-
-def _match(features: list[Features], options: Options, recorder: Recorder) -> list[PairMatches]:
-    every = list(combinations(range(len(features)), 2))
-    return [
-        PairMatches(i, j, match(features[i].descriptors, features[j].descriptors, options.matching))
-        for i, j in recorder.track(every, len(every), "matching", "pair")
-    ]
 
 
 class _Verified(NamedTuple):

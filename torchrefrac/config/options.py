@@ -166,12 +166,17 @@ class RunOptions:
 class DensifyOptions:
     """A run folder from the command line, how to make it dense, and what to write.
 
-    capture: folder of the photographs, by default the one that the run's metrics.json names. quiet, report: as in
+    capture: folder of the photographs, by default the one that the run's metrics.json names. frames: a pattern of
+    folders, each with photographs that the cameras of the run have taken at another moment; out: where their results
+    go, a folder each; workers: how many are made at a time, 0: as many as there are processors. quiet, report: as in
     `OutputOptions`.
     """
 
     run: str
     capture: str | None = None
+    frames: str | None = None
+    out: str | None = None
+    workers: int = 0
     dense: DenseOptions = field(default_factory=lambda: DenseOptions(method="patch"))
     outputs: DenseOutputs = field(default_factory=DenseOutputs)
     quiet: bool = False
@@ -180,6 +185,10 @@ class DensifyOptions:
     def __post_init__(self) -> None:
         if self.dense.method == "none":
             raise OptionError("dense.method is 'none', but must be patch or depthmap: none leaves the run as it is")
+        if (self.frames is None) != (self.out is None):
+            missing = "frames" if self.frames is None else "out"
+            raise OptionError(f"{missing} is missing: frames are the folders of photographs, out that of their results")
+        require_ranges(self, {"workers": Range(at_least=0, at_most=1024)})
 
 
 @dataclass(frozen=True)
