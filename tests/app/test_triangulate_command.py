@@ -105,7 +105,7 @@ def test_points_of_one_view_and_contradictions_are_left_out_and_counted(torchref
     assert record["points"] == plain["points"]
     assert record["points_of_one_view"] == 1
     assert record["points_contradicted"] == plain["points_contradicted"] + 1
-    assert "left out: 1 points, seen by one view only" in ended.out
+    assert "left out: 1 points, as only one view sees them" in ended.out
     assert (tmp_path / "more" / "points.csv").read_text() == (tmp_path / "plain" / "points.csv").read_text()
 
 

@@ -35,6 +35,7 @@ def triangulate_run(options: TriangulateOptions, recorder: Recorder | None = Non
     folder = path.with_name(f"{path.stem}_3d") if options.out is None else Path(options.out)
     if real_path(folder / POINTS) == real_path(path):
         raise OutRefusedError(f"out is {folder}, where the tracks lie, but they must stay; name another folder")
+    require_replaceable(folder, "triangulate", (POINTS,))
     scene = read_posed(Path(options.run))
     table = read_track_table(path, scene.views.names, PIXEL_SHIFT[options.pixel_origin])
     seen = table.observations
@@ -49,7 +50,8 @@ def triangulate_run(options: TriangulateOptions, recorder: Recorder | None = Non
         )
     set_aside = torch.where(found.valid, length - found.num_views, 0)
     unit = scene.length_unit
-    squares = found.rms[found.valid].square() * found.num_views[found.valid]
+    views = found.num_views[found.valid]
+    square = (found.rms[found.valid].square() * views).sum() / views.sum()
     metrics = {
         "status": "complete",
         "stages": [],
@@ -64,12 +66,11 @@ def triangulate_run(options: TriangulateOptions, recorder: Recorder | None = Non
         "points": int(found.valid.sum()),
         "points_of_one_view": int(single.sum()),
         "points_contradicted": int((~found.valid & ~single).sum()),
-        "reprojection_rms_px": float((squares.sum() / found.num_views.sum()).sqrt()),
+        "reprojection_rms_px": float(square.sqrt()),
         f"point_sigma_median_{unit}": float(largest_deviation(found.covariance[found.valid]).median()),
     }
     folder.mkdir(parents=True, exist_ok=True)
     with alone(folder):
-        require_replaceable(folder, "triangulate", (POINTS,))
         write_track_points(folder / POINTS, table.names, found, set_aside, found.valid)
         metrics["seconds_total"] = round(time.perf_counter() - start, 3)
         RunRecord.of(folder, metrics).write()

@@ -8,11 +8,12 @@ from operator import itemgetter
 from pathlib import Path, PurePath
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
 from torchrefrac.files.control_points import numbers_of
+from torchrefrac.files.fields import FARTHEST
 from torchrefrac.refinement import PointEstimate
 from torchrefrac.scene import CaptureError, Observations
 
@@ -41,23 +42,26 @@ def read_track_table(path: Path, views: Sequence[str], shift: float) -> TrackTab
     twice and what is no number.
     """
     number_of, points = _numbers_of(views), {}
-    point, view, pixels, given = [], [], [], set()
-    for line, (frame, name, image, *place) in _rows(path):
-        if image not in number_of:
+    point, view, places, lines = [], [], [], []
+    for line, frame, name, image, x, y in _rows(path):
+        number = number_of.get(image)
+        if number is None:
             known = ", ".join(views[:MOST_NAMED]) + (", ..." if len(views) > MOST_NAMED else "")
             raise CaptureError(f"{path}: line {line}: view is {image[:100]!r}, but the run has placed {known}")
-        of = points.setdefault((frame, name), len(points))
-        seen = (of, number_of[image])
-        if seen in given:
-            raise CaptureError(f"{path}: line {line} has {name} in frame {frame} of {image} again; leave one of them")
-        given.add(seen)
-        point.append(seen[0])
-        view.append(seen[1])
-        pixels.append(numbers_of(place, ("x", "y"), f"{path}: line {line}"))
-    if not point:
+        point.append(points.setdefault((frame, name), len(points)))
+        view.append(number)
+        places.append((x, y))
+        lines.append(line)
+    if not lines:
         raise CaptureError(f"{path} has no line but the first; it must be {WHAT}")
-    at = torch.tensor(pixels, dtype=torch.float64) + shift
-    return TrackTable(tuple(points), Observations(torch.tensor(view), torch.tensor(point), at))
+    names, pixels = tuple(points), _numbers(places, lines, path) + shift
+    seen = Observations(torch.tensor(view), torch.tensor(point), pixels)
+    again = _first_repeat(seen.point * len(views) + seen.view)
+    if again is not None:
+        frame, name = names[point[again]]
+        where, image = f"{path}: line {lines[again]}", views[view[again]]
+        raise CaptureError(f"{where} has {name} in frame {frame} of {image} again; leave one of them")
+    return TrackTable(names, seen)
 
 
 def write_track_points(
@@ -81,7 +85,7 @@ def write_track_points(
             table.writerow((*names[row], *lengths, count, left_out, SIGMA.format(error)))
 
 
-def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path) -> Iterator[tuple[int, str, str, str, str, str]]:
     """The number of each line that is not empty, and its texts of COLUMNS."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -94,15 +98,36 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
                 raise CaptureError(f"{path} has no column {missing[0]}; its first line must name {needed}")
             pick, table = itemgetter(*map(titles.index, COLUMNS)), csv.reader(file, delimiter=separator)
             for texts in table:
-                if texts and len(texts) != len(titles):
+                if len(texts) == len(titles):
+                    frame, name, image, x, y = pick(texts)
+                    yield table.line_num + 1, frame.strip(), name.strip(), image.strip(), x, y
+                elif texts:
                     where = f"{path}: line {table.line_num + 1}"
                     raise CaptureError(f"{where} has {len(texts)} columns, but the first line names {len(titles)}")
-                if texts:
-                    yield table.line_num + 1, [text.strip() for text in pick(texts)]
     except FileNotFoundError:
         raise CaptureError(f"{path} does not exist, but must be {WHAT}") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise CaptureError(f"{path} cannot be read as {WHAT}: {error}") from None
+
+
+def _numbers(places: Sequence[tuple[str, str]], lines: Sequence[int], path: Path) -> Float[Tensor, "k 2"]:
+    """Texts of x and y, all at once where each is a number; else one by one, to say which is none."""
+    try:
+        values = torch.tensor([(float(x), float(y)) for x, y in places], dtype=torch.float64)
+    except ValueError:
+        values = torch.full((1, 2), torch.nan, dtype=torch.float64)
+    if bool((values.abs() <= FARTHEST).all()):
+        return values
+    found = zip(places, lines, strict=True)
+    each = [numbers_of(place, ("x", "y"), f"{path}: line {line}") for place, line in found]
+    return torch.tensor(each, dtype=torch.float64)
+
+
+def _first_repeat(keys: Int[Tensor, " k"]) -> int | None:
+    """The first place of a key that stands before it already."""
+    order = keys.argsort(stable=True)
+    repeats = order[1:][keys[order].diff() == 0]
+    return int(repeats.min()) if len(repeats) else None
 
 
 def _numbers_of(views: Sequence[str]) -> dict[str, int]:

@@ -68,7 +68,7 @@ def triangulation_lines(metrics: Mapping[str, Any]) -> list[str]:
     if metrics["observations_set_aside"]:
         lines.append(f"{metrics['observations_set_aside']} observations that contradict the others are set aside")
     left_out = {
-        "seen by one view only": metrics["points_of_one_view"],
-        "no two observations agree": metrics["points_contradicted"],
+        "as only one view sees them": metrics["points_of_one_view"],
+        "as no two observations agree": metrics["points_contradicted"],
     }
     return lines + [f"left out: {count} points, {why}" for why, count in left_out.items() if count]
