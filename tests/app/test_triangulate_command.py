@@ -151,7 +151,7 @@ def test_the_same_command_again_replaces_what_it_wrote_and_nothing_else(torchref
 def test_parts_of_a_long_table_are_those_of_the_whole(torchrefrac, sparse, tracks, tmp_path, monkeypatch):
     given = ("triangulate", f"run={sparse / 'run'}", "tracks=fish.csv", "-q")
     torchrefrac(*given, "out=whole")
-    monkeypatch.setattr("torchrefrac.commands.triangulate.PART", 7)
+    monkeypatch.setattr("torchrefrac.commands.triangulate.PART", 60)
 
     torchrefrac(*given, "out=parts")
 

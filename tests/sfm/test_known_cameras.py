@@ -8,7 +8,9 @@ import torch
 from scipy.optimize import brentq
 
 from torchrefrac import Interfaces, Observations, Rigid, Scene, triangulate_tracks
+from torchrefrac.geometry import Similarity, so3_exp
 from torchrefrac.scene import SceneError
+from torchrefrac.sfm.frame import transformed
 
 WATER = 1.333
 
@@ -72,6 +74,18 @@ def test_land_and_water_are_placed_together(make_tracks):
 
     assert (points[:4, 2] > 0.0).all()
     torch.testing.assert_close(found.points, points, rtol=1e-8, atol=1e-8)
+
+
+def test_the_surface_may_be_any_plane(make_tracks, draw):
+    scene, seen, points = make_tracks(20, 3, noise=0.0)
+    change = Similarity(draw.uniform(0.5, 2.0), so3_exp(draw.normal(3)), 10.0 * draw.normal(3))
+    normal = change.rotation[:, 2][None]
+    surface = Interfaces(normal, normal @ change.translation, scene.interfaces.index_ratio)
+
+    found, _ = triangulate_tracks(replace(transformed(scene, change), interfaces=surface), seen)
+
+    assert found.valid.all()
+    torch.testing.assert_close(found.points, change.apply(points), rtol=1e-8, atol=1e-7)
 
 
 @pytest.mark.parametrize("wrong", [1, 2])

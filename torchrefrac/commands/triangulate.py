@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Int
+from torch import Tensor
 
 from torchrefrac.commands.export import read_posed
 from torchrefrac.commands.results import OutRefusedError, require_replaceable
@@ -17,8 +19,7 @@ from torchrefrac.files.swap import alone
 from torchrefrac.files.track_table import read_track_table, write_track_points
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.refinement import PointEstimate
-from torchrefrac.scene import CaptureError, Observations, Scene
-from torchrefrac.scene.scene import largest_deviation
+from torchrefrac.scene import CaptureError, Observations, Scene, largest_deviation
 from torchrefrac.sfm import triangulate_tracks
 
 POINTS = "points.csv"
@@ -38,20 +39,15 @@ def triangulate_run(options: TriangulateOptions, recorder: Recorder | None = Non
     require_replaceable(folder, "triangulate", (POINTS,))
     scene = read_posed(Path(options.run))
     table = read_track_table(path, scene.views.names, PIXEL_SHIFT[options.pixel_origin])
-    seen = table.observations
-    found = _in_parts(scene, seen, options, recorder or SilentRecorder())
-    length = torch.bincount(seen.point)
-    single = length < 2
+    found = _in_parts(scene, table.observations, options, recorder or SilentRecorder())
+    length = torch.bincount(table.observations.point)
     if not bool(found.valid.any()):
         raise CaptureError(
-            f"{path}: none of {len(length)} points can be placed: {int(single.sum())} are seen by one view only, of "
-            f"the others no two observations agree within max_error={options.max_error:g} px; check pixel_origin and "
-            "that the run's cameras have not moved"
+            f"{path}: none of {len(length)} points can be placed: {int((length < 2).sum())} are seen by one view only, "
+            f"of the others no two observations agree within max_error={options.max_error:g} px; check pixel_origin "
+            "and that the run's cameras have not moved"
         )
     set_aside = torch.where(found.valid, length - found.num_views, 0)
-    unit = scene.length_unit
-    views = found.num_views[found.valid]
-    square = (found.rms[found.valid].square() * views).sum() / views.sum()
     metrics = {
         "status": "complete",
         "stages": [],
@@ -59,15 +55,11 @@ def triangulate_run(options: TriangulateOptions, recorder: Recorder | None = Non
         "run": str(real_path(options.run)),
         "tracks": str(real_path(path)),
         "file": str(real_path(folder / POINTS)),
-        "length_unit": unit,
+        "length_unit": scene.length_unit,
         "images": len(scene.views),
-        "observations": len(seen),
+        "observations": len(table.observations),
         "observations_set_aside": int(set_aside.sum()),
-        "points": int(found.valid.sum()),
-        "points_of_one_view": int(single.sum()),
-        "points_contradicted": int((~found.valid & ~single).sum()),
-        "reprojection_rms_px": float(square.sqrt()),
-        f"point_sigma_median_{unit}": float(largest_deviation(found.covariance[found.valid]).median()),
+        **point_metrics(found, length, scene.length_unit),
     }
     folder.mkdir(parents=True, exist_ok=True)
     with alone(folder):
@@ -75,6 +67,19 @@ def triangulate_run(options: TriangulateOptions, recorder: Recorder | None = Non
         metrics["seconds_total"] = round(time.perf_counter() - start, 3)
         RunRecord.of(folder, metrics).write()
     return metrics
+
+
+def point_metrics(found: PointEstimate, length: Int[Tensor, " n"], unit: str) -> dict[str, Any]:
+    """How many points there are of tracks of this `length`, and how good they are."""
+    placed, views = found.valid, found.num_views[found.valid]
+    square = (found.rms[placed].square() * views).sum() / views.sum()
+    return {
+        "points": int(placed.sum()),
+        "points_of_one_view": int((length < 2).sum()),
+        "points_contradicted": int((~placed & (length >= 2)).sum()),
+        "reprojection_rms_px": float(square.sqrt()),
+        f"point_sigma_median_{unit}": float(largest_deviation(found.covariance[placed]).median()),
+    }
 
 
 def _in_parts(scene: Scene, seen: Observations, options: TriangulateOptions, recorder: Recorder) -> PointEstimate:
