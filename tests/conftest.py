@@ -14,6 +14,7 @@ from torch import Tensor
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.geometry import heading_rotation, level_rotation, rotate, split_heading
 from torchrefrac.refraction import FlatInterface, lift_points
+from torchrefrac.refraction.interface import GLASS
 
 
 def pytest_collection_finish() -> None:
@@ -112,7 +113,8 @@ def shared_case() -> Callable[[str], Path]:
 class Basin:
     """Cameras around a basin of water and points in it, in centimetres: a truth to take measurements from.
 
-    rotation (*B, m, 3, 3) cam_from_world, center (*B, m, 3), points (*B, n, 3).
+    rotation (*B, m, 3, 3) cam_from_world, center (*B, m, 3), points (*B, n, 3). glass: thickness of a pane that lies on
+    the water, its dry face at z = 0.
     """
 
     lens: Intrinsics
@@ -120,11 +122,18 @@ class Basin:
     rotation: Tensor
     center: Tensor
     points: Tensor
+    glass: float = 0.0
+
+    @property
+    def interface(self) -> FlatInterface:
+        if not self.glass:
+            return FlatInterface(self.index_ratio)
+        return FlatInterface(layers=(1.0, GLASS, self.index_ratio), thickness=(self.glass,))
 
     @property
     def cameras(self) -> RefractiveCamera:
         """(*B, m)."""
-        return RefractiveCamera(self.lens, self.rotation, self.center, FlatInterface(self.index_ratio))
+        return RefractiveCamera(self.lens, self.rotation, self.center, self.interface)
 
     @property
     def down_in_cam(self) -> Tensor:
@@ -136,16 +145,13 @@ class Basin:
 
     def project(self) -> tuple[Tensor, Tensor]:
         """Pixels (*B, m, n, 2), and which lie inside the image (*B, m, n)."""
-        cameras = RefractiveCamera(
-            self.lens, self.rotation[..., None, :, :], self.center[..., None, :], FlatInterface(self.index_ratio)
-        )
+        cameras = RefractiveCamera(self.lens, self.rotation[..., None, :, :], self.center[..., None, :], self.interface)
         pixels, valid = cameras.project(self.points[..., None, :, :])
         return pixels, valid & self.lens.contains(pixels)
 
     def level_rays(self) -> Tensor:
         """Gravity-aligned rays (*B, m, n, 3), straight from the lifted points: no lens and no gravity take part."""
-        interface = FlatInterface(self.index_ratio)
-        offset, _ = lift_points(self.center[..., None, :], self.points[..., None, :, :], interface)
+        offset, _ = lift_points(self.center[..., None, :], self.points[..., None, :, :], self.interface)
         return offset @ heading_rotation(self.heading).mT
 
     def level_rays_of(self, pixels: Tensor) -> Tensor:
@@ -162,7 +168,7 @@ class Basin:
 
 @pytest.fixture
 def make_basin(draw: Draw) -> Callable[..., Basin]:
-    """`make_basin(*shape, cameras=2, points=7)`: cameras 30 and 40 above the water in turn, 23 to 40 degrees apart on
+    """`make_basin(*shape, cameras=2, points=7)`: cameras `heights` above the water in turn, 23 to 40 degrees apart on
     a circle of radius 60, with 75 degrees of view (1024 x 768 pixels) over its middle; points within +-100 and 40 to
     100 deep, the first `land` of them 0 to 15 above the water instead. Each is in the image of at least `seen_by`
     cameras (default: all).
@@ -176,16 +182,18 @@ def make_basin(draw: Draw) -> Callable[..., Basin]:
         index_ratio: float = 1.33,
         distortion: tuple[float, ...] = (0.0,) * 5,
         seen_by: int | None = None,
+        heights: tuple[float, float] = (30.0, 40.0),
+        glass: float = 0.0,
     ) -> Basin:
         angle = torch.cumsum(torch.deg2rad(draw.uniform(23.0, 40.0, *shape, cameras)), dim=-1)
-        height = torch.tensor((30.0, 40.0), dtype=torch.float64).repeat(cameras)[:cameras].expand_as(angle)
+        height = torch.tensor(heights, dtype=torch.float64).repeat(cameras)[:cameras].expand_as(angle)
         center = torch.stack((60.0 * angle.cos(), 60.0 * angle.sin(), height), dim=-1)
         aim = torch.cat(
             (draw.uniform(-15.0, 15.0, *shape, cameras, 2), draw.uniform(-85.0, -65.0, *shape, cameras, 1)), dim=-1
         )
         rotation = _looking_at(center, aim, torch.deg2rad(draw.uniform(-20.0, 20.0, *shape, cameras)))
         lens = Intrinsics.create(1024, 768, 667.0, distortion=distortion)
-        empty = Basin(lens, index_ratio, rotation, center, center.new_zeros(*shape, 0, 3))
+        empty = Basin(lens, index_ratio, rotation, center, center.new_zeros(*shape, 0, 3), glass)
         wanted = cameras if seen_by is None else seen_by
         dry = _seen(draw, empty, land, wanted, reach=60.0, low=0.0, high=15.0)
         wet = _seen(draw, empty, points - land, wanted, reach=100.0, low=-100.0, high=-40.0)

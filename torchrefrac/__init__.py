@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from torchrefrac.geometry import Plane, Rigid
     from torchrefrac.refraction import FlatInterface, solve_refrax, water_index
     from torchrefrac.scene import Cameras, Capture, DenseCloud, Interfaces, Observations, Scene, Survey, Truth, Views
-    from torchrefrac.sfm import ReadjustOptions, SfmOptions
+    from torchrefrac.sfm import ReadjustOptions, SfmOptions, triangulate_tracks
     from torchrefrac.synthetic import made_scene
 
 __version__ = "0.1.0"
@@ -61,7 +61,7 @@ _HOME = {
     "scene": (
         "Cameras", "Capture", "DenseCloud", "Interfaces", "Observations", "Scene", "Survey", "Truth", "Views",
     ),
-    "sfm": ("ReadjustOptions", "SfmOptions"),
+    "sfm": ("ReadjustOptions", "SfmOptions", "triangulate_tracks"),
     "synthetic": ("made_scene",),
 }  # fmt: skip
 _MODULES = ("bundle", "minimal", "ransac", "refinement", "sfm")
@@ -73,7 +73,7 @@ __all__ = [
     "Scene", "SfmOptions", "Survey", "TorchrefracError", "Truth", "Views", "adjust", "adjust_differentiably", "bundle",
     "densify", "embedded_scene", "evaluate", "from_kornia", "import_photographs", "load_cameras", "load_capture",
     "load_truth", "made_scene", "minimal", "patch_costs", "ransac", "read_scene", "read_survey", "reconstruct",
-    "refinement", "remove_refraction", "sfm", "solve_refrax", "to_kornia", "water_index",
+    "refinement", "remove_refraction", "sfm", "solve_refrax", "to_kornia", "triangulate_tracks", "water_index",
 ]  # fmt: skip
 
 

@@ -15,7 +15,8 @@ PUBLIC = {
     "Scene", "SfmOptions", "Survey", "TorchrefracError", "Truth", "Views", "adjust", "adjust_differentiably", "bundle",
     "densify", "embedded_scene", "evaluate", "from_kornia", "import_photographs", "load_cameras", "load_capture",
     "load_truth", "made_scene", "minimal", "patch_costs", "ransac", "read_scene", "read_survey", "reconstruct",
-    "refinement", "remove_refraction", "sfm", "solve_refrax", "to_kornia", "water_index",
+    "refinement", "remove_refraction", "sfm", "solve_refrax", "to_kornia", "triangulate_tracks",
+    "water_index",
 }  # fmt: skip
 HEAVY = ("hydra", "omegaconf", "kornia", "tensorboard", "matplotlib", "trimesh")
 

@@ -14,7 +14,10 @@ FILES = sorted(CONF.rglob("*.yaml"))
 NAMES = [path.relative_to(CONF).as_posix() for path in FILES]
 ROOTS = {
     "config.yaml": (),
-    **{f"{name}.yaml": (name,) for name in ("adjust", "calibrate", "correct", "densify", "export", "import")},
+    **{
+        f"{name}.yaml": (name,)
+        for name in ("adjust", "calibrate", "correct", "densify", "export", "import", "triangulate")
+    },
 }
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from torchrefrac.bundle import BundleOptions
 from torchrefrac.config import AdjustOptions, DensifyOptions, OptionError, Options, OutputOptions, build, build_scene
-from torchrefrac.config.clouds import CorrectOptions
+from torchrefrac.config.clouds import CorrectOptions, TriangulateOptions
 from torchrefrac.config.importing import CalibrateOptions, ImportOptions
 from torchrefrac.synthetic.scenes import SCENES
 
@@ -25,6 +25,7 @@ REQUIRED = {
     DensifyOptions: {"run": "a"},
     ImportOptions: {"photos": "a", "out": "b"},
     CorrectOptions: {"cloud": "a", "cameras": "b", "out": "c"},
+    TriangulateOptions: {"run": "a", "tracks": "b"},
     CalibrateOptions: {"photos": "a", "out": "b", "columns": 9, "rows": 6, "square": 30.0},
     **{scene: {"name": "a"} for scene in SCENES.values()},
 }

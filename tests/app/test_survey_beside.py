@@ -96,4 +96,6 @@ def test_photographs_of_two_epochs_have_two_levels(torchrefrac, small_tank, metr
     assert tr.load_cameras(tmp_path / "run").interface.plane.offset.unique().tolist() == sorted([0.0, june["height"]])
     dense = torchrefrac("scene=capture", *given, "dense=patch", "out=dense")
     assert dense.status == 0, dense.err
-    assert metrics(tmp_path / "dense")["dense_accuracy_within_0.2_cm"] > 0.97
+    surface = metrics(tmp_path / "dense")
+    assert surface["dense_accuracy_within_0.5_cm"] > 0.98
+    assert surface["dense_surface_median_cm"] < surface["dense_sigma_median_cm"]  # four photographs leave it so open

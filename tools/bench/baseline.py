@@ -71,6 +71,7 @@ def _benches(data: Path, ceres: Path | None) -> dict[str, list[str]]:
         "uncertainty": [],
         "rendering": [],
         "correct": [],
+        "tracks": [],
     }
     if photographs.is_dir():
         benches["photographs"] = [str(photographs)]

@@ -1,8 +1,10 @@
-"""Random pose problems with truth: the two geometries that the solvers are measured on.
+"""Random pose problems with truth: the geometries that the solvers are measured on.
 
 tank: points within +-100 cm, 40 to 100 cm deep; cameras on a circle of radius 60 cm at heights 30 and 40 cm, 23 to 40
 degrees apart, looking at (0, 0, -70); focal length 667 px. drone: points within +-6 m, 0.5 to 2 m deep; cameras at
-(0, 0, 8) and (2.5, 0.3, 8.3) m looking down within 5 degrees; focal length 1500 px.
+(0, 0, 8) and (2.5, 0.3, 8.3) m looking down within 5 degrees; focal length 1500 px. aquarium, whose wall is z = 0:
+points within +-40 cm, 10 to 60 cm behind it; cameras 30 to 60 cm before it and 20 to 40 cm apart, looking at (0, 0,
+-30) within 5 cm; focal length 1000 px.
 """
 
 import math
@@ -14,9 +16,11 @@ from torch import Tensor
 
 import torchrefrac as tr
 from torchrefrac.geometry import heading_rotation, level_rotation, rotate, so3_exp
+from torchrefrac.minimal import Layers
 from torchrefrac.refinement import OneView, TwoViews, tilt_and_heading
+from torchrefrac.refraction.interface import GLASS
 
-Geometry = Literal["tank", "drone"]
+Geometry = Literal["tank", "drone", "aquarium"]
 GEOMETRIES: tuple[Geometry, ...] = ("tank", "drone")
 PIXEL_SIGMA = 0.5
 POSITION_LIMIT = {"tank": 0.02, "drone": 0.05}
@@ -37,6 +41,7 @@ class Problem:
     focal: float
     index_ratio: float
     gravity_sigma: float
+    layers: Layers | None = None
 
     @property
     def plane(self) -> Tensor:
@@ -92,9 +97,10 @@ def make_problem(
     outliers: float = 0.0,
     gravity_error_deg: float = 0.0,
     index_ratio: float = 1.33,
+    glass: float = 0.0,
 ) -> Problem:
     """Noise in pixels; a part `outliers` of the second pixels is spread evenly over the rectangle that the true ones
-    fill; verticals are off by gravity_error_deg in a random direction."""
+    fill; verticals are off by gravity_error_deg in a random direction; glass: thickness of a wall before the water."""
 
     def uniform(low: float, high: float, *shape: int) -> Tensor:
         return low + (high - low) * torch.rand(shape, generator=generator, dtype=torch.float64)
@@ -108,6 +114,13 @@ def make_problem(
         center = torch.stack((60.0 * angle.cos(), 60.0 * angle.sin(), angle.new_tensor((30.0, 40.0))), dim=-1)
         aim, roll, focal = center.new_tensor((0.0, 0.0, -70.0)).expand(2, 3), torch.zeros(2, dtype=torch.float64), 667.0
         scene = uniform(-100.0, 100.0, points, 2), uniform(-100.0, -40.0, points, 1)
+    elif geometry == "aquarium":
+        turn, apart, height = uniform(-math.pi, math.pi), 0.5 * uniform(20.0, 40.0), uniform(30.0, 60.0, 2)
+        along = apart * torch.stack((turn.cos(), turn.sin()))
+        center = torch.cat((torch.stack((along, -along)), height[:, None]), dim=-1)
+        aim = torch.cat((uniform(-5.0, 5.0, 2, 2), torch.full((2, 1), -30.0, dtype=torch.float64)), dim=-1)
+        roll, focal = uniform(-math.pi, math.pi, 2), 1000.0
+        scene = uniform(-40.0, 40.0, points, 2), uniform(-60.0, -10.0, points, 1)
     else:
         center = torch.tensor(((0.0, 0.0, 8.0), (2.5, 0.3, 8.3)), dtype=torch.float64)
         tilt, azimuth = torch.deg2rad(uniform(0.0, 5.0, 2)), uniform(-math.pi, math.pi, 2)
@@ -117,6 +130,10 @@ def make_problem(
     world = torch.cat(scene, dim=-1)
     rotation = looking_at(center, aim, roll)
     interface = tr.FlatInterface(index_ratio)
+    layers = None
+    if glass:
+        interface = tr.FlatInterface(layers=(1.0, GLASS, index_ratio), thickness=(glass,))
+        layers = Layers(*torch.tensor(((GLASS,), (glass,)), dtype=torch.float64))
     lens = tr.Intrinsics.create(2, 2, focal, principal_point=(0.0, 0.0))
     seen, _ = tr.RefractiveCamera(lens, rotation, center, interface)[:, None].project(world)
     pixels = seen + noise * normal(2, points, 2)
@@ -127,7 +144,7 @@ def make_problem(
     sideways = torch.nn.functional.normalize(torch.linalg.cross(down, normal(2, 3)), dim=-1)
     measured = rotate(so3_exp(math.radians(gravity_error_deg) * sideways), down)
     sigma = math.radians(gravity_error_deg) / math.sqrt(2.0)
-    return Problem(rotation, center, world, pixels, right, measured, focal, index_ratio, sigma)
+    return Problem(rotation, center, world, pixels, right, measured, focal, index_ratio, sigma, layers)
 
 
 def looking_at(center: Tensor, aim: Tensor, roll: Tensor) -> Tensor:

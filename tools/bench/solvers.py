@@ -1,6 +1,6 @@
 """Success, accuracy and speed of the pose solvers and of RANSAC on one core, with PoseLib on the pinhole twin beside.
 
-    python tools/bench/solvers.py [--problems 1000] [--workers 2] [--only minimal,relative,absolute,vertical,speed]
+    python tools/bench/solvers.py [--problems 1000] [--workers 2] [--only minimal,layers,relative,...]
 
 The problems are those of solver_problems.py. PoseLib (pip install poselib) runs where it is installed, with its default
 options and the same error limit, on the same scene without water: that is the problem it can solve.
@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -26,18 +26,23 @@ import torchrefrac as tr
 from torchrefrac.geometry import level_rotation, so3_log
 from torchrefrac.ransac import AbsolutePoseEstimator, RansacOptions, RelativePoseEstimator, level_rays, ransac
 from torchrefrac.refinement import tilt_and_heading
+from torchrefrac.refraction.interface import GLASS
 from torchrefrac.sfm.unknown_vertical import find_verticals
 
 MATCHES = 2000
 OPTIONS = RansacOptions(max_error=2.0)
 SPEED_PROBLEMS = 25
+LAYERED = ("4-point", "7-point", "12-point", "2-point", "LSQI")
+Known = Literal["T(m)", "T(0)", "none"]
 
 
 def main() -> None:
     parser = bench_parser("Pose solvers and RANSAC: success, accuracy, speed.")
     parser.add_argument("--problems", type=int, default=1000)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--only", default="minimal,relative,absolute,vertical,speed", help="parts to run, by commas")
+    parser.add_argument(
+        "--only", default="minimal,layers,relative,absolute,vertical,speed", help="parts to run, by commas"
+    )
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     parts = arguments.only.split(",")
@@ -45,6 +50,8 @@ def main() -> None:
     print(f"{arguments.problems} problems, torch {torch.__version__}, {torch.backends.cpu.get_cpu_capability()}")
     if "minimal" in parts:
         _report_minimal(arguments.problems)
+    if "layers" in parts:
+        _report_layers(arguments.problems)
     if "relative" in parts:
         _report_relative(run)
     if "absolute" in parts:
@@ -92,6 +99,66 @@ def _solve_minimal(geometry: str, noise: float, seed: int) -> tuple[float, float
         _best(four, truth[4:], problem.baseline, exact),
         _best(seven, truth[4:], problem.baseline, exact),
         _best(two, absolute_truth, float(problem.center[1, 2]), exact),
+    )
+
+
+def _report_layers(problems: int) -> None:
+    """Poses through the glass of an aquarium, those of the same scene without it, and what it costs to leave it out:
+    median error of the position, over the baseline or the height."""
+    print(f"\n{'aquarium, 12 mm of glass':<44}" + "".join(f"{name:>10}" for name in LAYERED))
+    exact = torch.tensor([_solve_layered(1.2, 0.0, "T(m)", seed) for seed in range(problems)])
+    shares = (exact < 1e-8).double().mean(dim=0).tolist()
+    print(f"{'noise-free: true pose found to 1e-8':<44}" + "".join(f"{share:>10.2%}" for share in shares))
+    for name, share in zip(LAYERED, shares, strict=True):
+        figure(f"aquarium, noise-free, {name}: true pose found", share, "", "higher", 0.003)
+    for noise in (0.0, 0.3):
+        medians = {}
+        rows: tuple[tuple[str, float, Known], ...] = (
+            ("no glass", 0.0, "none"),
+            ("glass", 1.2, "T(m)"),
+            ("glass, T(0) in place of T(m)", 1.2, "T(0)"),
+            ("glass, not modelled", 1.2, "none"),
+            ("glass of 5 cm", 5.0, "T(m)"),
+            ("glass of 5 cm, T(0) in place of T(m)", 5.0, "T(0)"),
+            ("glass of 5 cm, not modelled", 5.0, "none"),
+        )
+        for label, glass, known in rows:
+            found = torch.tensor([_solve_layered(glass, noise, known, seed) for seed in range(problems)])
+            medians[label] = found.median(dim=0).values
+            print(f"{f'{noise} px, {label}':<44}" + "".join(f"{error:>10.3%}" for error in medians[label].tolist()))
+        if noise:
+            ratio = medians["glass"] / medians["no glass"]
+            print(f"{'ratio of glass to no glass':<44}" + "".join(f"{value:>10.3f}" for value in ratio.tolist()))
+            for name, value in zip(LAYERED, ratio.tolist(), strict=True):
+                figure(f"aquarium, {noise} px, {name}: error through glass to that without", value, "x", "lower")
+
+
+def _solve_layered(glass: float, noise: float, known: Known, seed: int) -> tuple[float, ...]:
+    """Best valid candidate of each solver, as in `_solve_minimal`, for glass that is known, known at normal incidence,
+    or not known."""
+    problem = make_problem("aquarium", 12, torch.Generator().manual_seed(seed), noise=noise, glass=glass)
+    levels = level_rotation(problem.down_in_cam)
+    rays1, rays2 = (level_rays(plane, level) for plane, level in zip(problem.plane, levels, strict=True))
+    height, truth, exact = float(problem.center[0, 2]), problem.true_model(), noise == 0.0
+    layers = problem.layers if known == "T(m)" else None
+    # T(0) is the same for all rays: it raises both cameras.
+    lift = glass * (1.0 / GLASS - 1.0 / problem.index_ratio) if known == "T(0)" else 0.0
+    seven = tr.minimal.relative_pose_7pt if exact else tr.minimal.relative_pose_npt
+    relative = (
+        tr.minimal.relative_pose_4pt(rays1[:4], rays2[:4], problem.index_ratio, height + lift, layers=layers),
+        seven(rays1[:7], rays2[:7], problem.index_ratio, height + lift, layers=layers),
+        tr.minimal.relative_pose_npt(rays1, rays2, problem.index_ratio, height + lift, layers=layers),
+    )
+    heading, center, valid = tr.minimal.absolute_pose_lsqi(rays2, problem.points, problem.index_ratio, layers=layers)
+    absolute = (
+        tr.minimal.absolute_pose_2pt(rays2[:2], problem.points[:2], problem.index_ratio, layers=layers),
+        (heading[None], center[None], valid[None]),
+    )
+    absolute_truth = torch.cat(((truth[4] + float(_heading(problem, 0)))[None], problem.center[1]))
+    lifted = truth.new_tensor((0.0, 0.0, 0.0, lift))
+    return (
+        *(_best(found, truth[4:] + lifted, problem.baseline, exact) for found in relative),
+        *(_best(found, absolute_truth + lifted, float(problem.center[1, 2]), exact) for found in absolute),
     )
 
 

@@ -13,7 +13,7 @@ QUIET = ("-q", "--quiet")
 MULTIRUN = ("-m", "--multirun")
 PATHS = (
     "alignment", "cache", "camera", "cameras", "capture", "cloud", "out", "photos", "run", "scene.file", "scene.path",
-    "survey", "table", "truth", "water.path", "water.surface",
+    "survey", "table", "tracks", "truth", "water.path", "water.surface",
 )  # fmt: skip
 """The options that are names of files and folders."""
 SEVERAL = ("photos",)

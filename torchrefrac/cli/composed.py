@@ -6,7 +6,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from torchrefrac.config import AdjustOptions, DensifyOptions, Options, OutputOptions, RunOptions, build, build_scene
-from torchrefrac.config.clouds import CorrectOptions, ExportOptions
+from torchrefrac.config.clouds import CorrectOptions, ExportOptions, TriangulateOptions
 from torchrefrac.config.importing import CalibrateOptions, ImportOptions
 
 
@@ -46,6 +46,11 @@ def correct_options(config: DictConfig) -> CorrectOptions:
 def export_options(config: DictConfig) -> ExportOptions:
     """The typed options of a composed configuration of `torchrefrac export`."""
     return build(ExportOptions, _plain(config))
+
+
+def triangulate_options(config: DictConfig) -> TriangulateOptions:
+    """The typed options of a composed configuration of `torchrefrac triangulate`."""
+    return build(TriangulateOptions, _plain(config))
 
 
 def _plain(config: DictConfig) -> Any:

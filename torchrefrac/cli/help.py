@@ -6,7 +6,8 @@ from textwrap import wrap
 from torchrefrac.cli.conf import CONF, REQUIRED, Group, Option, read_group, read_header, read_options
 
 WIDTH, COLUMN = 100, 36
-FILES = {name: f"{name}.yaml" for name in ("adjust", "calibrate", "correct", "densify", "export", "import")}
+COMMANDS = ("adjust", "calibrate", "correct", "densify", "export", "import", "triangulate")
+FILES = {name: f"{name}.yaml" for name in COMMANDS}
 FLAGS = {
     "-m, --multirun": "a sweep: one run for each combination of values that are separated by commas",
     "-q, --quiet": "nothing but errors is printed",

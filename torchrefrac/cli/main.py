@@ -10,7 +10,7 @@ from hydra.core.utils import env_override
 
 from hydra_plugins.torchrefrac_sweeper.messages import COMPOSITION_ERRORS
 from torchrefrac.cli.arguments import for_hydra, typed
-from torchrefrac.cli.clouds import correct, export
+from torchrefrac.cli.clouds import correct, export, triangulate
 from torchrefrac.cli.commands import adjust, densify, reconstruct
 from torchrefrac.cli.failures import failed, tell
 from torchrefrac.cli.importing import calibrate, import_
@@ -21,7 +21,7 @@ INTERRUPTED = 130
 TOO_LONG = "integer string conversion"  # what Python says of whole numbers of thousands of digits
 OTHERS: dict[str, Callable[[], None]] = {
     "adjust": adjust, "calibrate": calibrate, "correct": correct, "densify": densify, "export": export,
-    "import": import_,
+    "import": import_, "triangulate": triangulate,
 }  # fmt: skip
 
 

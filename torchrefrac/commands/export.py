@@ -32,7 +32,7 @@ def export_run(options: ExportOptions, recorder: Recorder | None = None) -> dict
     """
     if options.format == "survey":
         return export_products(options, recorder or SilentRecorder())
-    scene, folder = _read(Path(options.run)), Path(options.out)
+    scene, folder = read_posed(Path(options.run)), Path(options.out)
     place = None if options.format == "colmap" else scene.georeference
     table = TABLES.get(options.format)
     files = [table] if table else [f"{stem}.txt" for stem in STEMS]
@@ -89,7 +89,7 @@ def export_products(options: ExportOptions, recorder: Recorder) -> dict[str, Any
     return metrics
 
 
-def _read(folder: Path) -> Scene:
+def read_posed(folder: Path) -> Scene:
     """Registered views, with their points where the folder has them."""
     if not folder.is_dir():
         raise SceneError(f"{folder} is not a folder, but run must be that of a run or of an adjustment")

@@ -1,4 +1,5 @@
-"""The typed options of the commands that hand results over: correct the cloud of another program, export cameras."""
+"""The typed options of the commands that hand results over: correct the cloud of another program, export cameras,
+triangulate tracks."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -7,6 +8,7 @@ from torchrefrac.checks import Range, require_ranges
 from torchrefrac.config.build import OptionError
 from torchrefrac.config.options import DenseOutputs
 from torchrefrac.correction import CorrectionRules
+from torchrefrac.sfm.rules import MAX_ERROR
 
 ANY_HEIGHT = Range(at_least=-1e9, at_most=1e9)
 
@@ -76,3 +78,27 @@ class ExportOptions:
         for name in ("run", "out"):
             if not getattr(self, name).strip():
                 raise OptionError(f"{name} is empty, but must be a folder")
+
+
+@dataclass(frozen=True)
+class TriangulateOptions:
+    """The folder of a run, or of an adjustment, and a CSV file of tracks (frame, id, view, x, y) that its cameras see.
+
+    out: folder for the points; None: FILE_3d beside FILE.csv. pixel_origin: where pixels count from: the centre of the
+    top-left one (OpenCV) or its corner (COLMAP). pixel_sigma: noise of a coordinate, px. max_error: of an observation
+    that counts, px. quiet: only errors are said.
+    """
+
+    run: str
+    tracks: str
+    out: str | None = None
+    pixel_origin: Literal["center", "corner"] = "center"
+    pixel_sigma: float = 0.3
+    max_error: float = 4.0
+    quiet: bool = False
+
+    def __post_init__(self) -> None:
+        require_ranges(self, {"pixel_sigma": MAX_ERROR, "max_error": MAX_ERROR})
+        for name, kind in (("run", "folder"), ("tracks", "file"), ("out", "folder")):
+            if getattr(self, name) is not None and not getattr(self, name).strip():
+                raise OptionError(f"{name} is empty, but must be a {kind}")

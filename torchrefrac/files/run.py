@@ -47,9 +47,9 @@ class RunRecord:
     """What `folder`/metrics.json says of a run; empty where it says nothing.
 
     stages: those that are complete. reason: why the run did not come to its end, on one line. command: "adjust",
-    "correct" or "export", or empty for a reconstruction. scene: its name, or that of the folder of the photographs.
-    capture: that folder. overrides: the options of the command line, by name. metrics: all that the file holds, these
-    fields too.
+    "correct", "export" or "triangulate", or empty for a reconstruction. scene: its name, or that of the folder of the
+    photographs. capture: that folder. overrides: the options of the command line, by name. metrics: all that the file
+    holds, these fields too.
     """
 
     folder: Path

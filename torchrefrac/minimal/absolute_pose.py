@@ -2,7 +2,7 @@
 
 With R_z the heading rotation, t = -R_z c and m = v_xy / v_z, a point under water obeys two equations linear in
 (C, S, t):   (R_z p + o + t)_xy = m (R_z p + o + t)_z   with o = (-p_z m / g, -p_z). A point in air obeys the same with
-o = 0, so that land and water points mix in one system.
+o = 0, so that land and water points mix in one system. Behind layers p_z / g - T stands for p_z / g (see `layers`).
 Degenerate: two points on one vertical line (2-point), all points on one vertical line (n-point).
 """
 
@@ -10,29 +10,39 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchrefrac.minimal.rays import Number, Rays, apparent_z, cross2, require_rays, slopes
-from torchrefrac.numerics import determines, least_squares_on_circle, like
+from torchrefrac.minimal.layers import Layers, Number
+from torchrefrac.minimal.rays import Rays, cross2, require_rays, seen_along
+from torchrefrac.numerics import determines, least_squares_on_circle
 
 TwoPoses = tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch 2 3"], Bool[Tensor, "*batch 2"]]
 
 
 def absolute_pose_2pt(
-    rays: Float[Tensor, "*batch 2 3"], points: Float[Tensor, "*batch 2 3"], index_ratio: Number
+    rays: Float[Tensor, "*batch 2 3"],
+    points: Float[Tensor, "*batch 2 3"],
+    index_ratio: Number,
+    *,
+    layers: Layers | None = None,
 ) -> TwoPoses:
     """Closed-form pose from 2 level rays and their world points.
 
+    layers: between the camera's medium and the water, from z = 0 down; a point among them counts as if it lay in water.
     Returns heading in radians, center and valid: up to two solutions of alpha C + beta S + gamma = 0 with
     C^2 + S^2 = 1. Valid means: real, finite, camera above the water.
     """
-    require_rays("the 2-point solver", 2, index_ratio, rays=rays, points=points)
-    return unchecked_absolute_pose_2pt(rays, points, index_ratio)
+    require_rays("the 2-point solver", 2, index_ratio, layers=layers, rays=rays, points=points)
+    return unchecked_absolute_pose_2pt(rays, points, index_ratio, layers=layers)
 
 
 def unchecked_absolute_pose_2pt(
-    rays: Float[Tensor, "*batch 2 3"], points: Float[Tensor, "*batch 2 3"], index_ratio: Number
+    rays: Float[Tensor, "*batch 2 3"],
+    points: Float[Tensor, "*batch 2 3"],
+    index_ratio: Number,
+    *,
+    layers: Layers | None = None,
 ) -> TwoPoses:
     """`absolute_pose_2pt` of arguments that are known to be right."""
-    m, x, y, const = _terms(rays, points, index_ratio)
+    m, x, y, const = _terms(rays, points, index_ratio, layers)
     # Rows per point: x C + y' S + const + t_xy - m t_z = 0. The difference of the two points frees t_xy,
     # the direction across the difference of slopes frees t_z.
     dm = m[..., 0, :] - m[..., 1, :]
@@ -57,15 +67,21 @@ def unchecked_absolute_pose_2pt(
 
 
 def absolute_pose_lsqi(
-    rays: Rays, points: Rays, index_ratio: Number, weights: Float[Tensor, "*batch n"] | None = None
+    rays: Rays,
+    points: Rays,
+    index_ratio: Number,
+    weights: Float[Tensor, "*batch n"] | None = None,
+    *,
+    layers: Layers | None = None,
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
     """Least-squares pose from n >= 3 level rays and world points.
 
-    weights: zero for a point that does not count. The translation leaves by QR; what remains is a linear least-squares
-    problem on the unit circle (LSQI). Returns heading, center, valid: both are determined, the camera above the water.
+    weights: zero for a point that does not count; layers: as for `absolute_pose_2pt`. The translation leaves by QR;
+    what remains is a linear least-squares problem on the unit circle (LSQI). Returns heading, center, valid: both are
+    determined, the camera above the water.
     """
-    require_rays("least squares", 3, index_ratio, weights, or_more=True, rays=rays, points=points)
-    m, x, y, const = _terms(rays, points, index_ratio)
+    require_rays("least squares", 3, index_ratio, weights, or_more=True, layers=layers, rays=rays, points=points)
+    m, x, y, const = _terms(rays, points, index_ratio, layers)
     unit = torch.eye(2, dtype=m.dtype, device=m.device).expand(*m.shape, 2)
     system = torch.cat((unit, -m[..., None], x[..., None], y[..., None], const[..., None]), dim=-1)
     if weights is not None:
@@ -82,11 +98,13 @@ def absolute_pose_lsqi(
     return heading, torch.where(valid[..., None], center, torch.ones_like(center)), valid
 
 
-def _terms(rays: Rays, points: Rays, index_ratio: Number) -> tuple[Float[Tensor, "*batch n 2"], ...]:
+def _terms(
+    rays: Rays, points: Rays, index_ratio: Number, layers: Layers | None
+) -> tuple[Float[Tensor, "*batch n 2"], ...]:
     """Slopes m and the coefficients of C, of S and of 1 in the two equations of a point."""
-    m, g = slopes(rays, like(index_ratio, rays)[..., None])
     px, py, pz = points.unbind(dim=-1)
-    return m, torch.stack((px, py), dim=-1), torch.stack((-py, px), dim=-1), -m * apparent_z(pz, g)[..., None]
+    m, apparent_z = seen_along(rays, pz, index_ratio, layers)
+    return m, torch.stack((px, py), dim=-1), torch.stack((-py, px), dim=-1), -m * apparent_z[..., None]
 
 
 def _center(heading: Float[Tensor, "*batch"], translation: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:

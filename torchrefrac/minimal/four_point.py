@@ -6,10 +6,11 @@ w_k = m_k / g_k (see `rays.slopes`), m_2 turned by phi. Two such lines meet wher
 
     (q_1 - q_2) x (w_1 - w_2) = 0        (x: 2D cross product),
 
-which is linear in (c_x, c_y, c_z, 1) with coefficients linear in (1, cos phi, sin phi). Four pairs make a 4x4 matrix
-M(phi) that must be singular. det M is a trigonometric polynomial of degree 3, not 4: the terms in exp(i phi) of the
-first two columns are multiples of each other. Its at most six roots are headings, and the null vector of M is the
-centre. Newton steps on the four equations restore the digits that the determinant has lost.
+which is linear in (c_x, c_y, c_z, 1) with coefficients linear in (1, cos phi, sin phi), behind layers too, where c_kz
+stands as c_kz + T_k (see `layers`). Four pairs make a 4x4 matrix M(phi) that must be singular. det M is a trigonometric
+polynomial of degree 3, not 4: the terms in exp(i phi) of the first two columns are multiples of each other. Its at most
+six roots are headings, and the null vector of M is the centre. Newton steps on the four equations restore the digits
+that the determinant has lost.
 Degenerate: as in `relative_pose`, and fewer than four different points. Of three headings within 7.5 degrees of each
 other two may be missed, which happens in about 2 problems of 10 000.
 """
@@ -21,7 +22,8 @@ from torch.nn.functional import pad
 
 from torchrefrac.checks import require
 from torchrefrac.geometry.triples import Triple
-from torchrefrac.minimal.rays import Number, bent, cross2, look_down, meet_below, require_rays
+from torchrefrac.minimal.layers import Layers, Number, over_height
+from torchrefrac.minimal.rays import Slopes, bent, cross2, look_down, meet_below, require_rays
 from torchrefrac.numerics import adjugate_4x4, determinant_4x4, fourier_coefficients, like, roots_on_circle
 
 NEWTON_STEPS = 2
@@ -35,31 +37,44 @@ EightPoses = tuple[Float[Tensor, "*batch 8"], Float[Tensor, "*batch 8 3"], Bool[
 
 
 def relative_pose_4pt(
-    rays1: Float[Tensor, "*batch 4 3"], rays2: Float[Tensor, "*batch 4 3"], index_ratio: Number, height: Number = 1.0
+    rays1: Float[Tensor, "*batch 4 3"],
+    rays2: Float[Tensor, "*batch 4 3"],
+    index_ratio: Number,
+    height: Number = 1.0,
+    *,
+    layers: Layers | None = None,
 ) -> EightPoses:
     """Poses of the second camera from 4 pairs of level rays, z up, each in its own camera's level frame.
 
-    height is that of the first camera and sets the scale. Returns heading in radians, center and valid, at most six of
-    them: a real and isolated root, the second camera above the water, all rays going down and all four points below it.
+    height is that of the first camera above the first surface and sets the scale; layers: between the cameras' medium
+    and the water, in its unit. Returns heading in radians, center and valid, at most six of them: a real and isolated
+    root, the second camera above the water, all rays going down and all four points in the water.
     """
-    require_rays("the 4-point solver", 4, index_ratio, rays1=rays1, rays2=rays2)
+    require_rays("the 4-point solver", 4, index_ratio, layers=layers, rays1=rays1, rays2=rays2)
     require(height, "height", above=0.0)
-    return unchecked_relative_pose_4pt(rays1, rays2, index_ratio, height)
+    return unchecked_relative_pose_4pt(rays1, rays2, index_ratio, height, layers=layers)
 
 
 def unchecked_relative_pose_4pt(
-    rays1: Float[Tensor, "*batch 4 3"], rays2: Float[Tensor, "*batch 4 3"], index_ratio: Number, height: Number = 1.0
+    rays1: Float[Tensor, "*batch 4 3"],
+    rays2: Float[Tensor, "*batch 4 3"],
+    index_ratio: Number,
+    height: Number = 1.0,
+    *,
+    layers: Layers | None = None,
 ) -> EightPoses:
     """`relative_pose_4pt` of arguments that are known to be right."""
-    first, second = bent(rays1, index_ratio), bent(rays2, index_ratio)
-    terms = _terms(*first, *second)
+    layers = over_height(layers, height)
+    first, second = bent(rays1, index_ratio, layers), bent(rays2, index_ratio, layers)
+    terms = _terms(first, second)
     samples = torch.arange(2 * DEGREE + 1, dtype=rays1.dtype, device=rays1.device) * (2.0 * torch.pi / (2 * DEGREE + 1))
     heading, is_root = roots_on_circle(fourier_coefficients(determinant_4x4(_turned(terms, samples)[0])))
     center = _null_vector(_turned(terms, heading)[0])
     isolated = is_root
     for _ in range(NEWTON_STEPS):
         heading, center, isolated = _newton(terms, heading, center)
-    valid = is_root & isolated & look_down(rays1, rays2)[..., None] & meet_below(heading, center, first, second)
+    below = meet_below(heading, center, first, second, layers)
+    valid = is_root & isolated & look_down(rays1, rays2)[..., None] & below
     center = torch.stack(center, dim=-1)
     valid = valid & (center[..., 2] > 0.0) & center.isfinite().all(dim=-1)
     center = torch.where(valid[..., None], center * like(height, rays1)[..., None, None], 1.0)
@@ -67,18 +82,18 @@ def unchecked_relative_pose_4pt(
     return pad(heading, none), pad(center, (0, 0, *none), value=1.0), pad(valid, none)
 
 
-def _terms(
-    m1: Float[Tensor, "*batch 4 2"],
-    w1: Float[Tensor, "*batch 4 2"],
-    m2: Float[Tensor, "*batch 4 2"],
-    w2: Float[Tensor, "*batch 4 2"],
-) -> Float[Tensor, "3 4 4 *batch 1"]:
+def _terms(first: Slopes, second: Slopes) -> Float[Tensor, "3 4 4 *batch 1"]:
     """Coefficients in 1, cos phi, sin phi of the entries of M, for a first camera at height 1."""
+    m1, w1, (m2, w2, lift) = first.from_one, first.w, second
     (ax, ay), (px, py) = w1.unbind(dim=-1), w2.unbind(dim=-1)
     zero = torch.zeros_like(ax)
+    by_height = cross2(m2, w1), (m2 * w1).sum(dim=-1)
+    rest = cross2(m1, w2), -(m1 * w2).sum(dim=-1)
+    if lift is not None:
+        rest = tuple(torch.addcmul(one, lift, other) for one, other in zip(rest, by_height, strict=True))
     constant = (-ay, ax, zero, zero)
-    cosine = (py, -px, cross2(m2, w1), cross2(m1, w2))
-    sine = (-px, -py, (m2 * w1).sum(dim=-1), -(m1 * w2).sum(dim=-1))
+    cosine = (py, -px, by_height[0], rest[0])
+    sine = (-px, -py, by_height[1], rest[1])
     columns = torch.stack((*constant, *cosine, *sine)).unflatten(0, (3, 4))
     return columns.movedim(-1, 1)[..., None].contiguous()
 

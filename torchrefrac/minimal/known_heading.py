@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.checks import require, require_broadcasting
-from torchrefrac.minimal.rays import Number, Rays, apparent_z, bent, cross2, look_down, meet_below, require_rays, slopes
+from torchrefrac.minimal.layers import Layers, Number, over_height
+from torchrefrac.minimal.rays import Rays, bent, cross2, look_down, meet_below, require_rays, seen_along
 from torchrefrac.numerics import like
 from torchrefrac.numerics.small import ROUNDING
 
@@ -26,17 +27,20 @@ def relative_pose_3pt(
     heading: Number,
     index_ratio: Number,
     height: Number = 1.0,
+    *,
+    layers: Layers | None = None,
 ) -> Centers:
     """Centre of the second camera from 3 pairs of level rays and its heading relative to the first.
 
-    The first camera stands at (0, 0, height). Returns center and valid: the centre is determined and
-    above the water, all rays go down and all three points lie below the surface.
+    The first camera stands at (0, 0, height); layers: between the cameras' medium and the water, in its unit. Returns
+    center and valid: the centre is determined and above the water, all rays go down and all three points lie in the
+    water.
     """
-    require_rays("the 3-point solver", 3, index_ratio, rays1=rays1, rays2=rays2)
+    require_rays("the 3-point solver", 3, index_ratio, layers=layers, rays1=rays1, rays2=rays2)
     require_broadcasting(heading=like(heading, rays1).shape, rays=rays1.shape[:-2])
     require(heading, "heading")
     require(height, "height", above=0.0)
-    return unchecked_relative_pose_3pt(rays1, rays2, heading, index_ratio, height)
+    return unchecked_relative_pose_3pt(rays1, rays2, heading, index_ratio, height, layers=layers)
 
 
 def unchecked_relative_pose_3pt(
@@ -45,45 +49,65 @@ def unchecked_relative_pose_3pt(
     heading: Number,
     index_ratio: Number,
     height: Number = 1.0,
+    *,
+    layers: Layers | None = None,
 ) -> Centers:
     """`relative_pose_3pt` of arguments that are known to be right."""
-    m1, w1 = bent(rays1, index_ratio)
-    m2, w2 = (_turned(level, like(heading, rays2)) for level in bent(rays2, index_ratio))
-    d = w1 - w2
+    layers = over_height(layers, height)
+    first, second = bent(rays1, index_ratio, layers), bent(rays2, index_ratio, layers)
+    m2, w2 = (_turned(level, like(heading, rays2)) for level in second[:2])
+    second = second._replace(m=m2, w=w2)
+    d = first.w - w2
     rows = torch.stack((-d[..., 1], d[..., 0], cross2(m2, d)), dim=-1)
     cofactors = torch.linalg.cross(rows.roll(-1, dims=-2), rows.roll(-2, dims=-2), dim=-1)
     determinant = (rows * cofactors)[..., 0, :].sum(dim=-1)
-    center = (cross2(m1, d)[..., None] * cofactors).sum(dim=-2) / determinant[..., None]
+    target = cross2(first.from_one, d)
+    if second.lift is not None:
+        target = target - second.lift * rows[..., 2]
+    center = (target[..., None] * cofactors).sum(dim=-2) / determinant[..., None]
     size = rows.norm(dim=-1).prod(dim=-1)
     valid = (determinant.abs() > ROUNDING * torch.finfo(rows.dtype).eps * size) & look_down(rays1, rays2)
     x, y, z = center[..., None].unbind(dim=-2)
-    below = meet_below(torch.zeros_like(x), (x, y, z), (m1, w1), (m2, w2))[..., 0]
+    below = meet_below(torch.zeros_like(x), (x, y, z), first, second, layers)[..., 0]
     valid = valid & below & (center[..., 2] > 0.0) & center.isfinite().all(dim=-1)
     return torch.where(valid[..., None], center * like(height, rays1)[..., None], 1.0), valid
 
 
 def absolute_pose_known_heading(
-    rays: Rays, points: Rays, heading: Number, index_ratio: Number, weights: Float[Tensor, "*batch n"] | None = None
+    rays: Rays,
+    points: Rays,
+    heading: Number,
+    index_ratio: Number,
+    weights: Float[Tensor, "*batch n"] | None = None,
+    *,
+    layers: Layers | None = None,
 ) -> Centers:
     """Least-squares centre of a camera with a known heading from n >= 2 level rays and world points.
 
-    Points may lie in the water and on land. weights: zero for a point that does not count. Returns center and valid:
+    Points may lie in the water and on land. weights: zero for a point that does not count. layers: between the camera's
+    medium and the water, from z = 0 down; a point among them counts as if it lay in water. Returns center and valid:
     the centre is determined and above the water. Which end of its ray a point lies on is not asked.
     """
-    require_rays("the solver", 2, index_ratio, weights, or_more=True, rays=rays, points=points)
+    require_rays("the solver", 2, index_ratio, weights, or_more=True, layers=layers, rays=rays, points=points)
     require_broadcasting(heading=like(heading, rays).shape, rays=rays.shape[:-2])
     require(heading, "heading")
-    return unchecked_absolute_pose_known_heading(rays, points, heading, index_ratio, weights)
+    return unchecked_absolute_pose_known_heading(rays, points, heading, index_ratio, weights, layers=layers)
 
 
 def unchecked_absolute_pose_known_heading(
-    rays: Rays, points: Rays, heading: Number, index_ratio: Number, weights: Float[Tensor, "*batch n"] | None = None
+    rays: Rays,
+    points: Rays,
+    heading: Number,
+    index_ratio: Number,
+    weights: Float[Tensor, "*batch n"] | None = None,
+    *,
+    layers: Layers | None = None,
 ) -> Centers:
     """`absolute_pose_known_heading` of arguments that are known to be right."""
-    level, g = slopes(rays, like(index_ratio, rays)[..., None])
+    level, apparent_z = seen_along(rays, points[..., 2], index_ratio, layers)
     m = _turned(level, like(heading, rays))
-    target = points[..., :2] - m * apparent_z(points[..., 2], g)[..., None]
-    share = torch.ones_like(g) if weights is None else weights.square()
+    target = points[..., :2] - m * apparent_z[..., None]
+    share = torch.ones_like(apparent_z) if weights is None else weights.square()
     share = (share / share.sum(dim=-1, keepdim=True))[..., None]
     mean_m, mean_target = (share * m).sum(dim=-2), (share * target).sum(dim=-2)
     aside = m - mean_m[..., None, :]

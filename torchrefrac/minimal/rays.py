@@ -1,18 +1,30 @@
 """What level rays say about the water below them, and the checks of rays that users hand in."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from torchrefrac.checks import require, require_floating
+from torchrefrac.minimal.layers import Layers, Number, divisor, require_layers
 from torchrefrac.numerics import like
 
 Rays = Float[Tensor, "*batch n 3"]
-Number = Float[Tensor, "*#batch"] | float
-Slopes = tuple[Float[Tensor, "*batch n 2"], Float[Tensor, "*batch n 2"]]
-"""Of rays: m in air and w in the water."""
+
+
+class Slopes(NamedTuple):
+    """Of rays: m in air, w in the water; lift: what layers between both add to the camera's height, None: no layers."""
+
+    m: Float[Tensor, "*batch n 2"]
+    w: Float[Tensor, "*batch n 2"]
+    lift: Float[Tensor, "*batch n"] | None = None
+
+    @property
+    def from_one(self) -> Float[Tensor, "*batch n 2"]:
+        """Way from where the rays of a camera at height 1 seem to enter the water back to below the camera."""
+        return self.m if self.lift is None else (1.0 + self.lift)[..., None] * self.m
 
 
 def slopes(
@@ -24,19 +36,25 @@ def slopes(
     (Chang & Chen, ICCV 2011, Eq. 9), g^2 = n^2 + (n^2 - 1) |m|^2.
     """
     slope = rays[..., :2] / rays[..., 2:]
-    n_sq = index_ratio * index_ratio
-    return slope, (n_sq + (n_sq - 1.0) * slope.square().sum(dim=-1)).sqrt()
+    return slope, divisor(slope.square().sum(dim=-1), index_ratio)
 
 
-def bent(rays: Rays, index_ratio: Number) -> Slopes:
-    """Slopes of rays on both sides of the surface."""
+def bent(rays: Rays, index_ratio: Number, layers: Layers | None = None) -> Slopes:
+    """Slopes of rays on both sides of the surface, or of layers."""
     m, g = slopes(rays, like(index_ratio, rays)[..., None])
-    return m, m / g[..., None]
+    return Slopes(m, m / g[..., None], None if layers is None else layers.lift(m, g))
 
 
-def apparent_z(z: Float[Tensor, "*batch"], g: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-    """The z at which a point at `z` is seen along its ray in air: z / g in the water, z itself in air."""
-    return torch.where(z < 0.0, z / g, z)
+def seen_along(
+    rays: Rays, z: Float[Tensor, "*batch n"], index_ratio: Number, layers: Layers | None = None
+) -> tuple[Float[Tensor, "*batch n 2"], Float[Tensor, "*batch n"]]:
+    """Slopes of rays in air, and the z at which points at `z` are seen along them: z / g - T in the water, z itself in
+    air. A point between both, which would be inside the layers, counts as if there were water around it."""
+    m, g = slopes(rays, like(index_ratio, rays)[..., None])
+    wet = z / g
+    if layers is not None:
+        wet = wet - layers.lift(m, g)
+    return m, torch.where(z < 0.0, wet, z)
 
 
 def meet_below(
@@ -44,19 +62,23 @@ def meet_below(
     center: Sequence[Float[Tensor, "*batch others"]],
     first: Slopes,
     second: Slopes,
+    layers: Layers | None = None,
 ) -> Bool[Tensor, "*batch others"]:
-    """Whether all rays of a camera at (0, 0, 1), heading 0, meet below the surface those of others.
+    """Whether all rays of a camera at (0, 0, 1), heading 0, meet those of others below the surface, or below layers.
 
-    The rays enter the water at q_k = c_k - c_kz m_k and pass each
+    The rays enter the water, or seem to where there are layers, at q_k = c_k - (c_kz + T_k) m_k and pass each
     other at the depth (q_1 - q_2) . (w_1 - w_2) / |w_1 - w_2|^2.
     """
     c, s = heading.cos()[..., None, :], heading.sin()[..., None, :]
-    (m1x, m1y), (w1x, w1y) = (part[..., None, :].unbind(dim=-1) for part in first)
-    (m2x, m2y), (w2x, w2y) = (part[..., None, :].unbind(dim=-1) for part in second)
+    (m1x, m1y), (w1x, w1y) = (part[..., None, :].unbind(dim=-1) for part in (first.from_one, first.w))
+    (m2x, m2y), (w2x, w2y) = (part[..., None, :].unbind(dim=-1) for part in (second.m, second.w))
     x, y, z = (part[..., None, :] for part in center)
-    along_x = (z * (c * m2x + s * m2y) - x - m1x) * (w1x - c * w2x - s * w2y)
-    along_y = (z * (c * m2y - s * m2x) - y - m1y) * (w1y - c * w2y + s * w2x)
-    return (along_x + along_y > 0.0).all(dim=-2)
+    if second.lift is not None:
+        z = z + second.lift[..., None]
+    dx, dy = w1x - c * w2x - s * w2y, w1y - c * w2y + s * w2x
+    along = (z * (c * m2x + s * m2y) - x - m1x) * dx + (z * (c * m2y - s * m2x) - y - m1y) * dy
+    least = 0.0 if layers is None else layers.depth(along)[..., None, None] * (dx * dx + dy * dy)
+    return (along > least).all(dim=-2)
 
 
 def look_down(rays1: Rays, rays2: Rays) -> Bool[Tensor, "*batch"]:
@@ -85,10 +107,11 @@ def require_rays(
     weights: Float[Tensor, "*batch n"] | None = None,
     *,
     or_more: bool = False,
+    layers: Layers | None = None,
     **batches: Rays,
 ) -> None:
     """Refuse anything but two batches (*B, count, 3) of finite rays or points, or of more of them, an index ratio of at
-    least 1 and weights, one a ray, finite and at least zero."""
+    least 1, weights, one a ray, finite and at least zero, and layers that can be."""
     (name, first), (other, second) = batches.items()
     if first.shape != second.shape or first.dim() < 2 or first.shape[-1] != 3:
         wanted = f"(*B, {'n' if or_more else count}, 3)"
@@ -101,6 +124,8 @@ def require_rays(
         require_floating(batch, label)
         require(batch, label)
     require(index_ratio, "index_ratio", at_least=1.0)
+    if layers is not None:
+        require_layers(layers, first.shape[:-2])
     if weights is not None:
         if weights.shape != first.shape[:-1]:
             wanted = tuple(first.shape[:-1])

@@ -1,4 +1,4 @@
-"""What `torchrefrac correct` and `torchrefrac export` print."""
+"""What `torchrefrac correct`, `torchrefrac export` and `torchrefrac triangulate` print."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -54,3 +54,21 @@ def export_lines(metrics: Mapping[str, Any]) -> list[str]:
         return [*survey_lines(metrics), f"files: {', '.join(metrics['files'])}"]
     where = f" in {metrics['crs']}" if "crs" in metrics else ""
     return [f"{metrics['images']} cameras{where}: {', '.join(metrics['files'])}"]
+
+
+def triangulation_lines(metrics: Mapping[str, Any]) -> list[str]:
+    """Of tracks that were triangulated, from the metrics."""
+    unit = metrics["length_unit"]
+    lines = [
+        f"{metrics['points']} points from {metrics['observations']} observations in {metrics['images']} views, "
+        f"{metrics['seconds_total']:.1f} s",
+        f"reprojection error {metrics['reprojection_rms_px']:.3g} px (RMS), standard deviation "
+        f"{metrics[f'point_sigma_median_{unit}']:.3g} {unit} (median), with the cameras as certain",
+    ]
+    if metrics["observations_set_aside"]:
+        lines.append(f"{metrics['observations_set_aside']} observations that contradict the others are set aside")
+    left_out = {
+        "as only one view sees them": metrics["points_of_one_view"],
+        "as no two observations agree": metrics["points_contradicted"],
+    }
+    return lines + [f"left out: {count} points, {why}" for why, count in left_out.items() if count]

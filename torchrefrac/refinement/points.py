@@ -61,14 +61,17 @@ def refine_points(
     pixel_sigma: float = 1.0,
     loss_scale: float | None = None,
     max_iterations: int = 10,
+    tolerance: float = CONVERGED,
 ) -> PointEstimate:
     """Minimise the reprojection error of each of `points` in its observations, from where it is.
 
     Observation i is of point[i], in any order, at pixels[i] by cameras[i], a batch of as many. pixel_sigma:
-    noise of a pixel coordinate, for the covariance; loss_scale: of a Huber loss, pixels. Single precision is raised to
+    noise of a pixel coordinate, for the covariance; loss_scale: of a Huber loss, pixels; tolerance: a point stays where
+    its cost would fall by no more than this part of it, by default far below the noise. Single precision is raised to
     double inside; nothing here is differentiable.
     """
     _check(cameras, pixels, point, points, pixel_sigma, loss_scale, max_iterations)
+    require(tolerance, "tolerance", at_least=0.0)
     dtype = torch.promote_types(at_least_single(pixels).dtype, at_least_single(points).dtype)
     working = dtype if points.device.type == "mps" else torch.float64
     seen = _Observations(cameras.to(dtype=working), pixels.to(working), point, loss_scale)
@@ -78,7 +81,7 @@ def refine_points(
         seen.at((num_views >= 2)[point].nonzero()[:, 0]),
         start,
         max_iterations,
-        CONVERGED,
+        tolerance,
         max_damping=MAX_DAMPING,
         rounding=rounding,
         undamped=True,

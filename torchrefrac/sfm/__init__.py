@@ -6,6 +6,7 @@ from torchrefrac.sfm.filter_points import filter_points
 from torchrefrac.sfm.focal import better_focal, with_likely_focals
 from torchrefrac.sfm.gravity import with_right_gravity
 from torchrefrac.sfm.incremental import NoInitialPairError, reconstruct_sparse
+from torchrefrac.sfm.known_cameras import triangulate_tracks
 from torchrefrac.sfm.outcome import Adjustment, Filtering, Outcome, Registration, Start, Triangulation
 from torchrefrac.sfm.pinhole import PinholeInitializer
 from torchrefrac.sfm.placing import Placed, placed_in_survey, upright
@@ -30,6 +31,7 @@ __all__ = [
     "SfmOptions", "Start", "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal",
     "check_levels", "complete_gravity", "errors_are_rough", "errors_in_air_and_water", "facing_wall", "filter_points",
     "fits_better_in_air", "gravity_in_world", "level_capture", "looks_through_wall", "placed_in_survey", "readjust",
-    "reconstruct_sparse", "register", "start", "triangulate", "upright", "verify_pairs", "with_found_level",
-    "with_found_normal", "with_likely_focals", "with_noise_found", "with_right_gravity", "with_upright_wall",
+    "reconstruct_sparse", "register", "start", "triangulate", "triangulate_tracks", "upright", "verify_pairs",
+    "with_found_level", "with_found_normal", "with_likely_focals", "with_noise_found", "with_right_gravity",
+    "with_upright_wall",
 ]  # fmt: skip

@@ -37,7 +37,8 @@ def nothing_measured(part: Part) -> Sequence[Term]:
 class Rules:
     """What the verbs `start`, `register`, `triangulate`, `filter_points` and `adjust` need besides the scene.
 
-    max_error, in pixels: of an observation that is accepted. min_angle_deg: between the rays of a point, 0 for any.
+    max_error, in pixels: of an observation that is accepted. max_dropped: observations of a new point that may be left
+    out for that, the worst first. min_angle_deg: between the rays of a point, 0 for any.
     min_track_length: accepted observations that a point needs, one number for all or one for each. min_support:
     accepted observations that a registered view needs. min_registration_inliers: of a pose.
 
@@ -48,6 +49,7 @@ class Rules:
     """
 
     max_error: float = 4.0
+    max_dropped: int = 3
     min_angle_deg: float = 1.5
     min_track_length: int | Int[Tensor, " n"] = 2
     min_support: int = MIN_OBSERVATIONS

@@ -12,23 +12,21 @@ from torchrefrac.sfm.outcome import Outcome, Triangulation
 from torchrefrac.sfm.rays import Tracks
 from torchrefrac.sfm.rules import Rules
 
-DROP_ROUNDS = 3
-
 
 def triangulate(scene: Scene, rules: Rules, wanted: Bool[Tensor, " n"] | None = None) -> tuple[Scene, Outcome]:
     """Place the points `wanted`, by default all that have no position.
 
     A point is placed when all its observations reproject within rules.max_error and its rays open by
-    rules.min_angle_deg. While an error is too large, the worst observation is set aside, up to three times and down to
-    two. Placed points then move to where they reproject best; under `rough` rules they are judged there. What cannot be
-    placed has no position afterwards, and an infinite max_error judges nothing.
+    rules.min_angle_deg. While an error is too large, the worst observation is set aside, up to rules.max_dropped times
+    and down to two. Placed points then move to where they reproject best; under `rough` rules they are judged there.
+    What cannot be placed has no position afterwards, and an infinite max_error judges nothing.
     """
     wanted = ~scene.placed if wanted is None else wanted
     seen = scene.observations
     rows = (scene.views.registered[seen.view] & wanted[seen.point]).nonzero()[:, 0]
     points, placed, accepted = scene.points.clone(), scene.placed & ~wanted, scene.accepted & ~wanted[seen.point]
     judged = rules.max_error < torch.inf
-    for _ in range(1 + DROP_ROUNDS if judged else 1):
+    for _ in range(1 + rules.max_dropped if judged else 1):
         rows = rows[torch.bincount(seen.point[rows], minlength=len(placed))[seen.point[rows]] >= 2]
         if not len(rows):
             break
