@@ -20,6 +20,7 @@ from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.config import DensifyOptions, OptionError, Options
 from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.files.paths import real_path
+from torchrefrac.files.swap import remove_if_empty
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Capture, CaptureError, Scene
 from torchrefrac.sfm import Rules
@@ -95,6 +96,7 @@ def densify_frame(job: Frame) -> dict[str, Any]:
         with results_in(job.out) as place:
             metrics = _densified(job, place)
     except (CaptureError, OptionError, OSError, RuntimeError, ValueError) as error:
+        remove_if_empty(job.out, job.out.parent)
         return row | {"reason": " ".join(str(error).split()) or type(error).__name__}
     known = {name: metrics.get(name) for name in ("images", "points", "dense_points")}
     return row | {"status": "complete", **known, "seconds": metrics.get("seconds_total")}

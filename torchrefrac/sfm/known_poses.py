@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from torchrefrac.features import Features, PairMatches, build_tracks
 from torchrefrac.scene import Scene
@@ -43,7 +45,7 @@ def agreeing_matches(scene: Scene, features: Sequence[Features], pair: PairMatch
     camera = scene.camera_of(view)
     planes, surfaces = scene.interfaces, scene.interfaces.of_views(scene.views.interface[view])
 
-    def height(points: torch.Tensor) -> torch.Tensor:
+    def height(points: Float[Tensor, "k 3"]) -> Float[Tensor, " k"]:
         if planes.move_with_camera:
             return torch.full_like(points[..., 2], -torch.inf)
         return surfaces.plane.signed_distance(points[..., None, :]).mean(dim=-1)
