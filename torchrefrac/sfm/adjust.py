@@ -205,10 +205,8 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
     levels = _of_levels(known) if "plane_height" in problem.layout.water else None
     planes = None
     if levels is not None and "plane_tilt" in problem.layout.water:
-        planes, middle = (
-            _of_planes(known, scene.interfaces),
-            torch.nn.functional.pad(scene.middle[:2], (1, 0), value=1.0),
-        )
+        planes = _of_planes(known, scene.interfaces)
+        middle = torch.nn.functional.pad(scene.middle[:2], (1, 0), value=1.0)
         levels = torch.einsum("i,efij,j->ef", middle, planes, middle)
     tilts = [each.posterior for each in found if each.name == "plane_tilt" and "plane_tilt" in problem.layout.water]
     wished = [wished_changes(problem, scene, name, known.pixel_sigma).items() for name in GIVEN]
