@@ -16,7 +16,7 @@ from torchrefrac.files.cameras import load_points, write_cameras
 from torchrefrac.files.colmap.model import read_colmap, write_colmap
 from torchrefrac.files.tracks import read_scene, write_tracks
 from torchrefrac.files.water import read_water, write_water
-from torchrefrac.geometry import Similarity, so3_exp
+from torchrefrac.geometry import Similarity, levelling, so3_exp
 from torchrefrac.scene import Interfaces
 from torchrefrac.sfm.frame import transformed
 
@@ -216,6 +216,33 @@ def test_a_level_that_the_survey_states_takes_part(torchrefrac, planted, metrics
     assert ended.status == 0, ended.err
     assert float(_water(tmp_path / "run").offset) == pytest.approx(250.0, abs=0.03)
     assert metrics(tmp_path / "run")["warnings"] == []
+
+
+def test_gauges_at_two_places_tilt_the_water(torchrefrac, planted, metrics, tmp_path):
+    level_from_water = levelling(torch.nn.functional.normalize(torch.tensor((-0.004, 0.002, -1.0)).double(), dim=0))
+    place = Similarity(torch.ones(()).double(), level_from_water, torch.tensor((0.0, 0.0, 250.0)).double())
+    true = transformed(planted.truth, place)
+    write_colmap(true, tmp_path / "given")
+    centers = zip(true.views.names, true.views.center.tolist(), strict=True)
+    gauges = place.apply(torch.tensor(((-60.0, 0.0, 0.0), (60.0, 0.0, 0.0), (0.0, 50.0, 0.0))).double()).tolist()
+    content = {
+        "format": "torchrefrac-survey/1",
+        "images": {name: {"center": center, "center_sigma": 0.1} for name, center in centers},
+        "gauges": {f"g{i}": {"height": z, "sigma": 0.01, "position": [x, y]} for i, (x, y, z) in enumerate(gauges)},
+    }
+    (tmp_path / "survey.json").write_text(json.dumps(content))
+
+    ended = torchrefrac("adjust", "alignment=given", "index_ratio=1.33", "survey=survey.json", "out=run")
+
+    assert ended.status == 0, ended.err
+    found = metrics(tmp_path / "run")
+    assert found["warnings"] == []
+    assert found["water_slope_east_mm_per_m"] == pytest.approx(4.0, abs=0.3)
+    assert found["water_slope_north_mm_per_m"] == pytest.approx(-2.0, abs=0.5)
+    assert 0.0 < found["water_slope_east_sigma_mm_per_m"] < 0.2
+    normal = _water(tmp_path / "run").normal[0]
+    torch.testing.assert_close(normal, level_from_water[:, 2], rtol=0.0, atol=5e-4)
+    assert "the water rises by" in ended.out
 
 
 CAMERA_LINES = {

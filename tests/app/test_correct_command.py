@@ -274,6 +274,13 @@ def test_tables_are_on_the_map_where_the_run_says_where_it_stands(torchrefrac, s
     torch.testing.assert_close(found.center, expected.double(), rtol=0.0, atol=1e-6)
     water, _ = read_water(tmp_path / "opk" / "water.json", found.names)
     assert water.offset.tolist() == [400.25]
+    path.write_text(json.dumps(content | {"georeference": place | {"slope": [0.02, -0.01]}, "length_unit": "m"}))
+    falling = read_viewpoints(exported(torchrefrac, tmp_path, "run", "csv") / "cameras.csv")
+    water, _ = read_water(tmp_path / "csv" / "water.json", found.names)
+    up = torch.nn.functional.normalize(torch.tensor((0.02, -0.01, 1.0)).double(), dim=0)
+    plumb = water.planes.signed_distance(falling.center) / water.normal[0, 2]
+    torch.testing.assert_close(plumb * up[2], center[:, 2], rtol=0.0, atol=1e-6)
+    torch.testing.assert_close(falling.rotation[:, :, 2], read_cameras(path).views.rotation @ up, rtol=0.0, atol=1e-9)
     local = read_colmap(exported(torchrefrac, tmp_path, "run", "colmap"))
     torch.testing.assert_close(local.views.center, center, rtol=0.0, atol=1e-9)
 

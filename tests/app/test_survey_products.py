@@ -73,6 +73,27 @@ def test_everything_stands_on_the_map_with_heights_in_the_datum(tmp_path, scene,
     assert metrics["bed_area_m2"] == pytest.approx(4.0 * 3.5 * 0.9996**2, rel=0.05)
 
 
+def test_over_a_river_that_falls_heights_are_level_and_depths_from_the_water_above(tmp_path, scene, cloud):
+    sloping = replace(PLACE, slope=(0.02, -0.01))
+    outputs = DenseOutputs(geotiff=True, laz=True)
+
+    write_survey_products(cloud, replace(scene, georeference=sloping), outputs, tmp_path, SilentRecorder())
+
+    level = sloping.coordinates(cloud.points)
+    read = laspy.read(tmp_path / "dense.laz")
+    assert np.allclose(np.stack((read.x, read.y, read.z), axis=-1), level.numpy(), atol=1e-4)
+    rows = np.flatnonzero((cloud.points[:, :2].abs() < 0.8).all(dim=-1).numpy())[::97]
+    with rasterio.open(tmp_path / "dsm.tif") as dsm, rasterio.open(tmp_path / "depth.tif") as depth:
+        at = level[rows, :2].tolist()
+        bed = np.array([value[0] for value in dsm.sample(at)])
+        below = np.array([value[0] for value in depth.sample(at)])
+    assert np.allclose(bed, level[rows, 2].numpy(), atol=2e-3)  # half a cell of that slope
+    assert np.allclose(bed + below, sloping.water_heights(*level[rows, :2].T).numpy(), atol=2e-3)
+    assert np.ptp(bed) > 0.02
+    with rasterio.open(tmp_path / "orthophoto.tif") as file:
+        assert file.read(4).any()
+
+
 def test_without_a_place_files_have_the_numbers_of_the_scene(tmp_path, scene, cloud):
     nowhere = replace(scene, georeference=None)
 

@@ -15,6 +15,7 @@ from torchrefrac.bundle import (
     ScaleBars,
     WaterLevels,
     Waterline,
+    WaterSlope,
 )
 from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.bundle.terms import GlobalPrior, concerned_points
@@ -24,7 +25,12 @@ WATER = ("index_ratio", "plane_tilt", "plane_height")
 LAYERS = ("layer_index", "layer_thickness")
 TWO = torch.tensor((2, 0))
 SIGMA = torch.tensor((0.5, 2.0), dtype=torch.float64)
-MEASURED = ("gravity", "gravity of some", "centre", "height", "known points", "scale bars", "waterline", "levels")
+UP = torch.nn.functional.normalize(torch.tensor((0.1, -0.2, 1.0), dtype=torch.float64), dim=0)
+AXES = torch.nn.functional.normalize(torch.tensor(((2.0, 1.0, 0.0), (-1.0, 2.0, 0.5)), dtype=torch.float64), dim=1)
+MEASURED = (
+    "gravity", "gravity of some", "gravity in a frame that slopes", "centre", "height", "known points", "scale bars",
+    "waterline", "levels", "slope",
+)  # fmt: skip
 every_measurement = pytest.mark.parametrize("name", MEASURED)
 
 
@@ -55,6 +61,14 @@ def measure(draw):
                 "gravity of some": (
                     GravityPrior(some, SIGMA, TWO),
                     lambda s: (s.views.rotation[TWO] @ world_down - some) / SIGMA[:, None],
+                ),
+                "gravity in a frame that slopes": (
+                    GravityPrior(some, SIGMA, TWO, UP),
+                    lambda s: (-s.views.rotation[TWO] @ UP - some) / SIGMA[:, None],
+                ),
+                "slope": (
+                    WaterSlope(AXES, SIGMA),
+                    lambda s: (s.interfaces.normal[:, None] * AXES).sum(dim=-1) / SIGMA,
                 ),
                 "centre": (CenterPrior(TWO, position, information), lambda s: s.views.center[TWO] - position),
                 "height": (

@@ -182,6 +182,7 @@ def _image(**values):
         (_set(cameras={}), "cameras is empty, but must describe at least one camera"),
         (lambda c: c.pop("cameras"), "cameras is missing, but must describe at least one camera"),
         (_set(georeference={"origin": [0, 0, 0]}), "georeference.crs is missing"),
+        (_set(georeference={"crs": "EPSG:32633", "origin": [0, 0, 0], "slope": [0, 0]}), "slope is not a known field"),
         (_set(length_unit="cm"), "length_unit is 'cm', but must be 'm' where there is a georeference"),
         (_set(folder=7), "folder is 7, but must be a non-empty string"),
         (lambda c: c.pop("position_sigma"), "position_sigma is missing"),

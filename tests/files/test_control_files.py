@@ -151,6 +151,29 @@ def test_tables_that_cannot_be_right_are_refused_with_their_line(tmp_path, point
         read_survey(tmp_path / "control.csv", NAMES)
 
 
+def test_gauges_with_a_place_are_read_and_written(tmp_path):
+    content = {
+        "format": "torchrefrac-survey/1",
+        "gauges": {
+            "bridge": {"height": 431.0, "sigma": 0.02, "position": [12.0, -3.5]},
+            "weir": {"height": 430.9, "sigma": 0.01},
+        },
+    }
+    (tmp_path / "survey.json").write_text(json.dumps(content))
+
+    survey = read_survey(tmp_path / "survey.json", NAMES)
+
+    assert survey.level_sources == ("gauge bridge", "gauge weir")
+    assert survey.level_position.tolist() == [[12.0, -3.5, 431.0], [0.0, 0.0, 430.9]]
+    assert survey.level_has_place.tolist() == [True, False]
+    write_survey(survey, tmp_path / "again.json")
+    assert json.loads((tmp_path / "again.json").read_text())["gauges"] == content["gauges"]
+    content["gauges"]["weir"]["position"] = [1.0, 2.0, 3.0]
+    (tmp_path / "survey.json").write_text(json.dumps(content))
+    with pytest.raises(SurveyError, match=r"gauges.weir.position.* must be a list of 2 numbers"):
+        read_survey(tmp_path / "survey.json", NAMES)
+
+
 def test_levels_of_the_water_are_read_and_written(tmp_path):
     content = {
         "format": "torchrefrac-survey/1",

@@ -63,6 +63,14 @@ def test_where_the_frame_stands_survives_the_file(tmp_path, scene):
     place = Georeference("EPSG:32633", (412345.0, 5312345.0, 431.25), "EPSG:5773", 0.9996267853446436)
     write_cameras(replace(scene, georeference=place, length_unit="m"), tmp_path / "cameras.json")
     assert read_cameras(tmp_path / "cameras.json").georeference == place
+    assert "slope" not in json.loads((tmp_path / "cameras.json").read_text())["georeference"]
+    sloping = replace(place, slope=(0.0018, -0.0009))
+    write_cameras(replace(scene, georeference=sloping, length_unit="m"), tmp_path / "cameras.json")
+    assert read_cameras(tmp_path / "cameras.json").georeference == sloping
+    steep = replace(place, slope=(1.8, 0.0))
+    write_cameras(replace(scene, georeference=steep, length_unit="m"), tmp_path / "cameras.json")
+    with pytest.raises(SceneError, match=r"georeference.slope is \[1.8, 0.0\], but water rises by 1 per metre at most"):
+        read_cameras(tmp_path / "cameras.json")
 
 
 def test_cameras_survive_the_file_to_the_last_bit(tmp_path, scene):

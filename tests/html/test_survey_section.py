@@ -36,6 +36,15 @@ def test_facts_have_units_and_no_more_digits_than_mean_something(run):
     assert facts["vertical uncertainty of the bed"] == "0.018 m, or 0.035 m at 95 % (median)"
 
 
+def test_the_slope_of_a_river_stands_with_its_sigma(run):
+    slopes = {"water_slope_east_mm_per_m": 1.8345, "water_slope_east_sigma_mm_per_m": 0.412}
+    slopes |= {"water_slope_north_mm_per_m": -0.92, "water_slope_north_sigma_mm_per_m": 0.38}
+
+    facts = dict(survey_facts(replace(run, record=RunRecord.of(Path("run"), METRICS | slopes))))
+
+    assert facts["the water rises by"] == "1.8 \u00b1 0.4 mm/m to the east, -0.9 \u00b1 0.4 mm/m to the north"
+
+
 def test_orders_stand_from_the_strictest_on(run):
     table = order_table(run)
 

@@ -24,6 +24,15 @@ def test_check_points_and_what_decided_the_level_are_told():
     assert "level of the water from gauge 75 %, images 25 %" in lines
 
 
+def test_the_slope_of_the_water_is_told():
+    of_slope = {"water_slope_east_mm_per_m": 1.834, "water_slope_east_sigma_mm_per_m": 0.41}
+    of_slope |= {"water_slope_north_mm_per_m": -0.92, "water_slope_north_sigma_mm_per_m": 1.3}
+
+    lines = reconstruction_lines(METRICS | of_slope)
+
+    assert "the water rises by 1.83 +- 0.41 mm/m to the east, -0.92 +- 1.3 mm/m to the north" in lines
+
+
 def test_points_outside_the_water_are_told_apart():
     lines = reconstruction_lines(METRICS)
     assert "3420 points under water, 128 above its level, 1437 below it, but outside the water" in lines

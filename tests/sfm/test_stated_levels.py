@@ -80,7 +80,12 @@ def test_points_of_the_shore_are_one_source(river):
 
 
 def test_what_the_others_say_is_what_is_left_of_the_information():
-    of = StatedLevels(torch.tensor([1.0, 9.0]).double(), torch.tensor([0.5, 1.0]).double(), torch.zeros(2).long())
+    of = StatedLevels(
+        *torch.tensor(([1.0, 9.0], [0.5, 1.0])).double(),
+        torch.zeros(2).long(),
+        torch.zeros(2, 2).double(),
+        torch.zeros(2).bool(),
+    )
     rest, spread = 2.0, 0.25
     weight = 1 / 0.5**2, 1 / spread**2
     level = torch.tensor([(weight[0] * 1.0 + weight[1] * rest) / sum(weight)]).double()

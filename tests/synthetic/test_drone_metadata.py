@@ -15,11 +15,11 @@ from torchrefrac.commands.import_photographs import import_photographs
 from torchrefrac.config.importing import ImportOptions
 from torchrefrac.files.metadata.attitude import angles_of, cam_from_world
 from torchrefrac.files.truth import load_truth
-from torchrefrac.geometry import split_heading
+from torchrefrac.geometry import so3_exp, split_heading
 from torchrefrac.recorder import SilentRecorder
 from torchrefrac.synthetic.drone import CRS, ORIGIN, drone_tags
 from torchrefrac.synthetic.library import render_scene
-from torchrefrac.synthetic.options import HeldCameraOptions, SensorOptions
+from torchrefrac.synthetic.options import DroneOptions, HeldCameraOptions, SensorOptions
 from torchrefrac.synthetic.paths import look_at, ring
 from torchrefrac.synthetic.stage import Stage, StageError
 
@@ -67,6 +67,25 @@ def test_import_finds_what_the_drone_truly_did(flight, tmp_path):
     assert capture.cameras.focal[0].tolist() == pytest.approx([focal] * 2)
     assert capture.cameras.distortion[0, :5].tolist() == pytest.approx(list(LENS))
     assert capture.cameras.principal_point[0].tolist() == [24.0, 18.0]
+
+
+def test_over_a_river_that_falls_positions_and_verticals_are_level(floor, options):
+    """By the definition: true gravity is `exp(tilt) (0, 0, -1)` in the frame of the water."""
+    pytest.importorskip("pyproj")
+    center = ring(6, 15.0, (30.0, 42.0), (0.0, 360.0))
+    rotation = look_at(center, torch.zeros_like(center), torch.zeros(6))
+    stage = Stage((floor,), rotation, center, "m", ambient=0.4, direct=0.6)
+    exact = replace(options, metadata="drone", drone=DroneOptions(position_sigma=(1e-6, 1e-6), gimbal_sigma_deg=1e-6))
+    lens = [Intrinsics.create(640, 480, 500.0)]
+
+    flat, falling = (drone_tags(stage, lens, replace(exact, plane_tilt_deg=tilt)) for tilt in ((0.0, 0.0), (0.1, 0.4)))
+
+    up = so3_exp(torch.tensor((0.1, 0.4, 0.0)).double().deg2rad())[:, 2]
+    rise = [after.altitude - before.altitude for before, after in zip(flat, falling, strict=True)]
+    assert rise == pytest.approx((center @ up - center[:, 2]).tolist(), abs=1e-4)
+    assert max(rise) - min(rise) > 0.1
+    angles = torch.tensor([(of.yaw, of.pitch, of.roll) for of in falling]).double().deg2rad()
+    torch.testing.assert_close(cam_from_world(*angles.T)[:, :, 2], rotation @ up, rtol=0.0, atol=1e-6)
 
 
 def test_cameras_that_take_photographs_in_turn_are_told_apart(flight, tmp_path):

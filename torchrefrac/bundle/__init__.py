@@ -18,12 +18,13 @@ from torchrefrac.bundle.terms import (
     Term,
     WaterLevels,
     Waterline,
+    WaterSlope,
 )
 from torchrefrac.bundle.uncertainty import Uncertainty, estimate_pixel_sigma, uncertainty
 
 __all__ = [
     "BundleOptions", "BundleProblem", "BundleReport", "CenterPrior", "CommonErrors", "Determination", "Expectations",
     "GravityPrior", "HeightPrior", "KnownPoints", "ScaleBars", "Term", "UnadjustableError", "Uncertainty",
-    "WaterLevels", "Waterline", "adjust", "adjust_differentiably", "adjust_pose", "check_inputs", "determinations",
-    "estimate_pixel_sigma", "uncertainty", "wished_changes",
+    "WaterLevels", "WaterSlope", "Waterline", "adjust", "adjust_differentiably", "adjust_pose", "check_inputs",
+    "determinations", "estimate_pixel_sigma", "uncertainty", "wished_changes",
 ]  # fmt: skip

@@ -16,7 +16,7 @@ from torch import Tensor
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.rows import INTRINSICS, MEDIA
 from torchrefrac.checks import Range, require_ranges
-from torchrefrac.geometry import Plane, skew
+from torchrefrac.geometry import Plane, rotate, skew
 from torchrefrac.scene import Cameras, Interfaces, Scene
 
 
@@ -36,17 +36,19 @@ class Term(Protocol):
 
 @dataclass(frozen=True)
 class GravityPrior:
-    """Unit directions down_in_cam of all views, or of `view`; expected error `sigma`, radians."""
+    """Unit directions down_in_cam of all views, or of `view`; expected error `sigma`, radians. up: the vertical in the
+    world, a unit vector; None: z."""
 
     down_in_cam: Float[Tensor, "k 3"]
     sigma: float | Float[Tensor, "*k"]
     view: Int[Tensor, " k"] | None = None
+    up: Float[Tensor, "3"] | None = None
 
     def residuals(self, scene: Scene, layout: Layout) -> Residuals:
-        """R (0, 0, -1) - down; the derivative in a left perturbation is -[R (0, 0, -1)]x."""
+        """-R up - down; the derivative in a left perturbation is -[-R up]x."""
         rotation = scene.views.rotation
         view = torch.arange(len(rotation), device=rotation.device) if self.view is None else self.view
-        predicted = -rotation[view][:, :, 2]
+        predicted = -rotation[view][:, :, 2] if self.up is None else -rotate(rotation[view], self.up.to(rotation))
         sigma = torch.as_tensor(self.sigma, dtype=predicted.dtype, device=predicted.device).reshape(-1, 1)
         value, jacobian = (predicted - self.down_in_cam) / sigma, -skew(predicted) / sigma[..., None]
         return Residuals(value, jacobian, layout.pose_columns(view)[:, :3])
@@ -135,6 +137,22 @@ class WaterLevels:
     def residuals(self, scene: Scene, layout: Layout) -> Residuals:
         above, jacobian = _above_plane(scene, self.interface, self.position)
         return _scalar(above, jacobian[:, 3:], layout.plane_columns(self.interface), self.sigma)
+
+
+@dataclass(frozen=True)
+class WaterSlope:
+    """Interfaces that rise along horizontal unit vectors `along` by nothing, with standard deviations sigma."""
+
+    along: Float[Tensor, "k 3"]
+    sigma: Float[Tensor, " k"]
+
+    def residuals(self, scene: Scene, layout: Layout) -> Residuals:
+        """The normal n . along; with tangents t1 and t2, about which it turns, its derivative is (-t2, t1) . along."""
+        first, second = scene.interfaces.planes.tangents_like(self.along)
+        scaled = (self.along / self.sigma[:, None]).mT
+        jacobian = torch.stack((-second @ scaled, first @ scaled), dim=-1)
+        columns = layout.plane_columns(layout.interfaces)[:, :2]
+        return Residuals(scene.interfaces.normal @ scaled, jacobian, columns)
 
 
 @dataclass(frozen=True)

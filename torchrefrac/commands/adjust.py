@@ -25,6 +25,7 @@ from torchrefrac.config import FRESH_WATER, LEVEL, AdjustOptions, OptionError, P
 from torchrefrac.evaluate.metrics import evaluate
 from torchrefrac.evaluate.survey_consistency import survey_contradictions
 from torchrefrac.evaluate.survey_metrics import survey_metrics
+from torchrefrac.evaluate.water_levels import slope_metrics
 from torchrefrac.files.cameras import CAMERAS, write_cameras, write_points
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.colmap.model import find_colmap, read_ids, write_colmap
@@ -105,6 +106,7 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
         with recorder.meter(2, "evaluating", "") as advance:
             adjusted = _finished(everything, outcome, survey)
             files.metrics |= _summary(scene, adjusted, outcome) | _lost(everything) | _placing(placed, read)
+            files.metrics |= slope_metrics(adjusted, survey)
             files.metrics |= survey_metrics(surveyed(everything, survey, outcome.survey or survey), scene.length_unit)
             if truth is not None and len(adjusted.interfaces) == 1:
                 files.metrics |= evaluate(_above_level_water(adjusted), truth)[0]

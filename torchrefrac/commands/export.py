@@ -4,6 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from torchrefrac.commands.densify import open_run
 from torchrefrac.commands.results import MODEL, WATER, require_replaceable
 from torchrefrac.commands.survey_products import require_place, write_survey_products
@@ -47,10 +49,12 @@ def export_run(options: ExportOptions, recorder: Recorder | None = None) -> dict
             if options.format == "opk":
                 write_angles(viewpoints, folder / table)
             else:
-                sigma = None if covariance is None else covariance.diagonal(dim1=1, dim2=2).clamp(min=0.0).sqrt()
+                turn = torch.eye(3, dtype=torch.float64) if place is None else place.level_from_local
+                along = None if covariance is None else (turn @ covariance @ turn.mT).diagonal(dim1=1, dim2=2)
+                sigma = None if along is None else along.clamp(min=0.0).sqrt()
                 write_orientations(viewpoints, folder / table, sigma)
         if place is not None:
-            scene = replace(scene, interfaces=Interfaces.level(scene.index_ratio, place.origin[2]))
+            scene = replace(scene, interfaces=Interfaces.of_plane(place.water, scene.index_ratio))
         write_water(scene, folder / WATER)
         metrics = {
             "status": "complete",

@@ -133,7 +133,8 @@ def reconstruct(
         ):
             known = replace(known, wished={"focal": focal})
         place = stated.georeference or survey.georeference if known.lowered_by is not None else None
-        found = replace(found, assessment=known, georeference=place and place.raised(known.lowered_by or 0.0))
+        above = place and place.raised(known.lowered_by or 0.0, known.slope)
+        found = replace(found, assessment=known, georeference=above)
         about_positions = position_contradictions(found, known.surveyed, known.lowered_by)
         return replace(found, findings=(*contradictions(found, stated), *about_positions, *doubts(stated)))
 

@@ -23,9 +23,11 @@ from torchrefrac.files.las import Extra, LasPoints, PointClass, extent_of, write
 from torchrefrac.files.metadata.local_frame import Grid
 from torchrefrac.files.run import CONTOURS, DENSE_LAZ, POINTS_LAZ, RASTERS
 from torchrefrac.files.systems import system_of
+from torchrefrac.geometry import Similarity
 from torchrefrac.numerics import thin
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import DenseCloud, Georeference, Raster, RasterGrid, Scene
+from torchrefrac.sfm.frame import moved
 
 UNPLACED = Georeference("", (0.0, 0.0, 0.0))
 """Of a scene of which nobody knows where it stands: the numbers in files are those of its own frame."""
@@ -88,7 +90,7 @@ def write_survey_products(
 
 @dataclass(frozen=True)
 class OnMap:
-    """Points whose x and y are easting and northing, and z the height above the water."""
+    """Points whose x and y are easting and northing, and z the height above the water below or above them."""
 
     points: Points
     place: Georeference
@@ -102,9 +104,8 @@ class OnMap:
 
     def __getitem__(self, rows: Int[Tensor, " k"]) -> DenseCloud:
         cloud = self.points[rows]
-        return replace(
-            cloud, points=torch.cat((self.place.coordinates(cloud.points)[:, :2], cloud.points[:, 2:]), dim=-1)
-        )
+        above = cloud.points[:, 2:] / self.place.level_from_local[2, 2]
+        return replace(cloud, points=torch.cat((self.place.coordinates(cloud.points)[:, :2], above), dim=-1))
 
 
 def _write_points(
@@ -161,7 +162,7 @@ def _write_tile(tile: Tile, files: Mapping[str, BandFile], place: Georeference) 
     raster = tile.raster
     shade = 1.0 + 254.0 * hillshade(raster.depth, raster.valid, raster.cell_size)
     values = {
-        "dsm": (raster.height + place.origin[2],),
+        "dsm": (raster.height + place.water_heights(raster.x, raster.y[:, None]),),
         "depth": (raster.depth,),
         "sigma": (raster.sigma, vertical_uncertainty(raster.sigma)),
         "views": (raster.views,),
@@ -175,8 +176,9 @@ def _write_tile(tile: Tile, files: Mapping[str, BandFile], place: Georeference) 
 def _write_orthophoto(
     raster: Raster, scene: Scene, place: Georeference, crs: str | None, folder: Path, recorder: Recorder
 ) -> None:
-    local = replace(raster, **_in_scene(raster, place))
-    colored = orthophoto(local, scene, Images(photographs(scene)), recorder)
+    local = _in_scene(raster, place)
+    level = moved(scene, Similarity(torch.ones(()).double(), place.level_from_local, torch.zeros(3).double()))
+    colored = orthophoto(local, level, Images(photographs(scene)), recorder)
     where = replace(colored, x_west=raster.x_west, y_north=raster.y_north, cell_size=colored.cell_size * place.scale)
     with color_file(folder / RASTERS["orthophoto"], Place.of(where, crs)) as file:
         file.write_colors(colored.colors, colored.valid, 0, 0)
@@ -243,11 +245,13 @@ def _incidence(cloud: DenseCloud, scene: Scene) -> Float[Tensor, " n"]:
     return (-in_air[:, 2]).clamp(-1.0, 1.0).acos().rad2deg()
 
 
-def _in_scene(raster: Raster, place: Georeference) -> dict[str, float]:
-    """Where a raster on the map lies in the frame of the scene."""
-    east, north, _ = place.origin
-    return {
-        "x_west": (raster.x_west - east) / place.scale,
-        "y_north": (raster.y_north - north) / place.scale,
-        "cell_size": raster.cell_size / place.scale,
-    }
+def _in_scene(raster: Raster, place: Georeference) -> Raster:
+    """A raster on the map in the frame of the scene, turned level."""
+    east, north, height = place.origin
+    return replace(
+        raster,
+        height=raster.height + (place.water_heights(raster.x, raster.y[:, None]) - height),
+        x_west=(raster.x_west - east) / place.scale,
+        y_north=(raster.y_north - north) / place.scale,
+        cell_size=raster.cell_size / place.scale,
+    )

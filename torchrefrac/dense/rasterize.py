@@ -38,7 +38,8 @@ class Points(Protocol):
 
 def in_chunks(points: Points) -> Iterator[tuple[Int[Tensor, " k"], DenseCloud]]:
     """All of them, a million at a time, and which these are."""
-    for rows in torch.arange(len(points)).split(CHUNK):
+    for start in range(0, len(points), CHUNK):
+        rows = torch.arange(start, min(start + CHUNK, len(points)))
         yield rows, points[rows]
 
 

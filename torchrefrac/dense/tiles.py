@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
-from torchrefrac.dense.rasterize import Points, in_chunks, raster_in, sharpest_of
-from torchrefrac.scene import Raster, RasterGrid
+from torchrefrac.dense.rasterize import CHUNK, Points, in_chunks, raster_in, sharpest_of
+from torchrefrac.scene import DenseCloud, Raster, RasterGrid
 
 TILE = 1024
 MARGIN = 3
@@ -65,11 +65,13 @@ def raster_tiles(points: Points, grid: RasterGrid, near: Bool[Tensor, " n"]) -> 
 
 
 def _raster_of(points: Points, rows: Int[Tensor, " k"], part: RasterGrid, sharpest: float) -> Raster:
-    """Of those of some points that lie in a part of the grid."""
-    cloud = points[rows.sort().values.long()]
-    row, column = part.steps_of(cloud.points)
-    inside = (row >= 0) & (row < part.rows) & (column >= 0) & (column < part.columns)
-    return raster_in(cloud[inside], part, sharpest)
+    """Of those of some points that lie in a part of the grid, of which a chunk is looked at at once."""
+    inside = []
+    for some in rows.sort().values.long().split(CHUNK):
+        cloud = points[some]
+        row, column = part.steps_of(cloud.points)
+        inside.append(cloud[(row >= 0) & (row < part.rows) & (column >= 0) & (column < part.columns)])
+    return raster_in(DenseCloud.joined(inside), part, sharpest)
 
 
 def _tiles_of(

@@ -146,7 +146,7 @@ def _gravity(scene: Scene, stated: Capture) -> list[Finding]:
     names = named(scene.views.names, wrong)
     if not names:
         return []
-    degrees = angle_between(-scene.views.rotation[wrong][:, :, 2], stated.down_in_cam[wrong]).rad2deg()
+    degrees = angle_between(scene.down_in_cam[wrong], stated.down_in_cam[wrong]).rad2deg()
     off = f"{float(degrees.median()):.1f} degrees (median)" if len(names) > 1 else f"{float(degrees[0]):.1f} degrees"
     known = float(torch.rad2deg(stated.down_sigma)[wrong].median())
     message = (

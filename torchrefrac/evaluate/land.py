@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.geometry import align_similarity
+from torchrefrac.geometry import align_similarity, rotate
 from torchrefrac.numerics import first_of_each
 from torchrefrac.scene import Scene
 
@@ -67,7 +67,9 @@ def _in_frame_of(scene: Scene, other: Scene) -> Float[Tensor, "n 3"] | None:
     """The points of another scene in the frame of this one; None where too few cameras are common."""
     lowered, down = scene.assessment.lowered_by, other.assessment.lowered_by
     if lowered is not None and down is not None:
-        return other.points + other.points.new_tensor((0.0, 0.0, down - lowered))
+        level = rotate(other.assessment.level_from_world, other.points)
+        moved = level + other.points.new_tensor((0.0, 0.0, down - lowered))
+        return rotate(scene.assessment.level_from_world.mT, moved)
     row = {name: i for i, name in enumerate(other.views.names)}
     pairs = [(i, row[name]) for i, name in enumerate(scene.views.names) if name in row]
     pairs = [(i, j) for i, j in pairs if scene.views.registered[i] and other.views.registered[j]]

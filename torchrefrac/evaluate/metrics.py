@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrefrac.evaluate.point_errors import point_metrics
 from torchrefrac.evaluate.true_surface import TrueSurface
 from torchrefrac.evaluate.water_levels import level_metrics
-from torchrefrac.geometry import Similarity, align_above_plane, align_similarity, so3_log, split_heading
+from torchrefrac.geometry import Similarity, align_above_plane, align_similarity, rotate, so3_log, split_heading
 from torchrefrac.scene import Cameras, Scene, Truth
 from torchrefrac.scene.tables import ONLY
 
@@ -88,7 +88,8 @@ def against_positions(scene: Scene) -> dict[str, float]:
         return {}
     views = scene.views
     known = views.registered & capture.position_sigma.isfinite().all(dim=-1)
-    off = (views.center - capture.position)[known] + views.center.new_tensor((0.0, 0.0, lowered))
+    level = rotate(scene.assessment.level_from_world, views.center)
+    off = (level - capture.position)[known] + level.new_tensor((0.0, 0.0, lowered))
     found = {}
     if len(off):
         found[f"position_rms_{unit}"] = rms(off[:, :2].norm(dim=-1))

@@ -45,7 +45,7 @@ def _gravity(scene: Scene, survey: Survey) -> list[Finding]:
     names = named(scene.views.names, wrong)
     if not names:
         return []
-    off = float(angle_between(-scene.views.rotation[wrong][:, :, 2], down[wrong]).rad2deg().median())
+    off = float(angle_between(scene.down_in_cam[wrong], down[wrong]).rad2deg().median())
     message = (
         f"down_in_cam of {listed(names)} is {off:.2g} degrees (median) from the vertical that the images show, more "
         "than its sigma explains: check it, its sigma, and that z points up"

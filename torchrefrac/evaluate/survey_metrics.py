@@ -6,6 +6,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchrefrac.evaluate.metrics import rms
+from torchrefrac.geometry import levelling, rotate
 from torchrefrac.scene import Surveyed
 
 
@@ -22,16 +23,18 @@ def survey_metrics(known: Surveyed | None, unit: str, level: float = 0.0) -> dic
     if known is None:
         return {}
     stated, up = known.stated, known.control.new_tensor((0.0, 0.0, level))
-    where, placed = (known.control + up).tolist(), known.placed.tolist()
+    turn = levelling(-stated.up)
+    where, placed = (rotate(turn, known.control) + up).tolist(), known.placed.tolist()
+    of_known, of_check = rotate(turn, known.off), rotate(turn, known.check_off)
     control = list(zip(stated.control_names, where, placed, strict=True))
     compared = {
-        stated.control_names[i]: off for i, off in zip(stated.known_control.tolist(), known.off.tolist(), strict=True)
+        stated.control_names[i]: off for i, off in zip(stated.known_control.tolist(), of_known.tolist(), strict=True)
     }
     found: dict[str, Any] = {
         "marks": {name: position for name, position, there in control if there},
         f"mark_residuals_{unit}": compared,
-        **_table(known, "control", stated.known_control, known.off, unit),
-        **_table(known, "check", stated.check_control, known.check_off, unit),
+        **_table(known, "control", stated.known_control, of_known, unit),
+        **_table(known, "check", stated.check_control, of_check, unit),
         "lost_marks": [*(name for name, _, there in control if not there), *stated.skipped_controls],
         "images_only_in_survey": list(stated.skipped),
     }

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchrefrac.scene import Finding, Scene, Surveyed, WarningCode
+from torchrefrac.scene import Finding, Scene, Survey, Surveyed, WarningCode
 from torchrefrac.sfm.stated_levels import CONTRADICTED, StatedLevels
 
 IMAGES = "images with positions and ground control"
@@ -17,23 +17,43 @@ def level_metrics(scene: Scene) -> dict[str, Any]:
     """Of a scene in the frame of the positions that its capture or a survey states.
 
     With UNIT its length unit: water_level_UNIT and water_level_sigma_UNIT, the height of the water there (in the first
-    epoch) and its standard deviation; water_levels_UNIT, height and sigma by names of epochs, where there are several
-    (in a frame of its own above the first). water_level_from, of each source of a level the height that it states, its
-    sigma, and weight_percent, how much it decided, by inverse variances: levels stated, and the rest.
+    epoch; at the middle of the cameras where it slopes) and its standard deviation; water_levels_UNIT, height and sigma
+    by names of epochs, where there are several (in a frame of its own above the first); those of `slope_metrics`.
+    water_level_from, of each source of a level the height that it states, its sigma, and weight_percent, how much it
+    decided, by inverse variances: levels stated, and the rest.
     """
     known, unit = scene.assessment, scene.length_unit
     if not scene.interfaces.stand_in_world:
         return {}
     found: dict[str, Any] = {}
     if known.lowered_by is not None:
-        found[f"water_level_{unit}"] = known.lowered_by
+        found[f"water_level_{unit}"] = _at_middle(scene) + known.lowered_by
         if known.water_level_sigma is not None:
             found[f"water_level_sigma_{unit}"] = known.water_level_sigma
     if len(scene.interfaces) > 1:
         found[f"water_levels_{unit}"] = _of_epochs(scene)
+    if known.surveyed is not None:
+        found |= slope_metrics(scene, known.surveyed.used)
     sources = _sources(scene)
     if sources:
         found["water_level_from"] = sources
+    return found
+
+
+def slope_metrics(scene: Scene, survey: Survey) -> dict[str, float]:
+    """Where the levels of the survey that a scene was adjusted with show the slope of its water: by how much that rises
+    to the east and to the north, and standard deviations: water_slope_east_mm_per_m, water_slope_east_sigma_mm_per_m,
+    and of north the same."""
+    known = scene.assessment
+    if known.plane_covariance is None or not StatedLevels.of(survey, scene).show_slope(scene):
+        return {}
+    normal = known.level_from_world @ scene.interfaces.normal[0]
+    slope = (-normal[:2] / normal[2]).tolist()
+    sigma = known.plane_covariance[0].diagonal()[1:].clamp(min=0.0).sqrt().tolist()
+    found = {}
+    for name, rise, spread in zip(("east", "north"), slope, sigma, strict=True):
+        found[f"water_slope_{name}_mm_per_m"] = 1000.0 * rise
+        found[f"water_slope_{name}_sigma_mm_per_m"] = 1000.0 * spread
     return found
 
 
@@ -48,13 +68,14 @@ def level_contradictions(scene: Scene, known: Surveyed, lowered: float | None) -
         message = "a level of the water is stated, but no positions that say where it is counted from; it was not used"
         return (Finding(WarningCode.WATER_LEVEL_CONTRADICTS, message),)
     levels, used = StatedLevels.of(known.stated, scene), _used(known)
-    rest = levels.others(scene.interfaces.offset, sigma, used)
-    off = levels.height - rest.height
+    variance = scene.assessment.level_variance(levels.surface, levels.place, levels.place)
+    rest = levels.others(levels.at_interfaces(scene), variance.sqrt(), used)
+    off, stated = levels.height - rest.height, _heights(known.stated, levels, lowered)
     wrong = off.abs() > CONTRADICTED * torch.hypot(levels.sigma, rest.sigma)
     bed = float(scene.points[:, 2].quantile(0.02)) if len(scene.points) else 0.0
     findings = []
     for i in wrong.nonzero()[:, 0].tolist():
-        by, height = float(off[i]), float(levels.height[i]) + lowered
+        by, height = float(off[i]), stated[i]
         message = (
             f"{_named(known, i)} states the water at {height:.4g} {unit}, {abs(by):.3g} {unit} "
             f"{'above' if by > 0.0 else 'below'} where everything else has it (+- {float(rest.sigma[i]):.2g} {unit})"
@@ -88,18 +109,33 @@ def _sources(scene: Scene) -> list[dict[str, Any]]:
     if known is None or lowered is None or sigma is None or not known.stated.level_sources:
         return []
     levels, used = StatedLevels.of(known.stated, scene), _used(known)
+    middle = scene.middle[:2].expand_as(levels.place)
+    gain = scene.assessment.level_variance(levels.surface, middle, levels.place) / levels.sigma.square()
+    above, stated = levels.height - levels.at_interfaces(scene), _heights(known.stated, levels, lowered)
     found = []
     for surface in levels.surface.unique().tolist():
         of, variance = levels.surface == surface, sigma[surface].square()
-        share = torch.where(of & used, variance / levels.sigma.square(), 0.0)
-        stated = share.sum()
-        share, rest = share / stated.clamp(min=1.0), (1.0 - stated).clamp(min=0.0)
-        height = scene.interfaces.offset[surface] - (share * levels.height).sum()
+        share = torch.where(of & used, gain, 0.0)
+        total = share.sum()
+        share, rest = share / total.clamp(min=1.0), (1.0 - total).clamp(min=0.0)
+        off = float((share * above).sum() / rest.clamp(min=torch.finfo(rest.dtype).tiny))
         for i in of.nonzero()[:, 0].tolist():
-            found.append(_source(_named(known, i), float(levels.height[i]) + lowered, levels.sigma[i], share[i]))
+            found.append(_source(_named(known, i), stated[i], levels.sigma[i], share[i]))
         if float(rest) > 0.0:
-            found.append(_source(IMAGES, float(height / rest) + lowered, (variance / rest).sqrt(), rest))
+            height = float(scene.interfaces.offset[surface]) + _at_middle(scene) + lowered - off
+            found.append(_source(IMAGES, height, (variance / rest).sqrt(), rest))
     return found
+
+
+def _at_middle(scene: Scene) -> float:
+    """How much higher than at its origin the plane z = 0 stands at the middle of the cameras."""
+    return float((scene.assessment.up[:2] * scene.middle[:2]).sum())
+
+
+def _heights(stated: Survey, levels: StatedLevels, lowered: float) -> list[float]:
+    """Of levels that a survey states, as it states them."""
+    places = torch.cat((levels.place, levels.height[:, None]), dim=1)
+    return ((places * stated.up).sum(dim=-1) + lowered).tolist()
 
 
 def _source(name: str, height: float, sigma: Float[Tensor, ""], share: Float[Tensor, ""]) -> dict[str, Any]:

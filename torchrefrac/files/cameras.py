@@ -144,7 +144,7 @@ def read_cameras(path: Path) -> Scene:
             length_unit=top.length_unit(),
             failures={image.text("name"): image.text("reason", "") for image in images if not image.flag("registered")},
             assessment=_assessment(registered),
-            georeference=read_georeference(top),
+            georeference=read_georeference(top, of_water=True),
         )
 
 

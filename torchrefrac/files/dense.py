@@ -20,6 +20,8 @@ POSITION, NORMAL, COLOR = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", 
 AXES, COMMON = ("sigma_x", "sigma_y", "sigma_z"), "sigma_common"
 UNIT = "length_unit"
 MOST_VIEWS = 65535
+READ = 8192
+"""Points of a file that are read at once: each may lie on a page of its own, and others are read with that."""
 
 
 def write_dense(cloud: DenseCloud, path: str | Path) -> None:
@@ -70,11 +72,12 @@ class DenseFile:
         return len(self._vertices)
 
     def __getitem__(self, rows: Int[Tensor, " k"]) -> DenseCloud:
-        cloud = _cloud(self._vertices[rows.numpy()], self.length_unit)
-        pages = getattr(self._vertices, "_mmap", None)
-        if pages is not None and hasattr(mmap, "MADV_DONTNEED"):
-            pages.madvise(mmap.MADV_DONTNEED)  # else what was read of the file counts as memory of the process
-        return cloud
+        found, pages = np.empty(len(rows), dtype=self._vertices.dtype), getattr(self._vertices, "_mmap", None)
+        for start in range(0, len(rows), READ):
+            found[start : start + READ] = self._vertices[rows[start : start + READ].numpy()]
+            if pages is not None and hasattr(mmap, "MADV_DONTNEED"):
+                pages.madvise(mmap.MADV_DONTNEED)  # else what was read of the file counts as memory of the process
+        return _cloud(found, self.length_unit)
 
 
 def _unit(vertices: Shaped[np.ndarray, " n"], comments: Sequence[str], path: Path) -> str:

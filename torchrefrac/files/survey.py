@@ -34,6 +34,8 @@ SURVEY = "survey.json"
 FORMAT = "torchrefrac-survey/1"
 GAUGE = "gauge "
 """How the sources of levels begin that gauges state."""
+WATERLINE = "waterline"
+"""The source of levels that points of the shore state."""
 Covariance = Float[Tensor, "3 3"]
 IMAGE_FIELDS = {
     "down_in_cam": ("down_in_cam_sigma_deg",),
@@ -102,13 +104,14 @@ def _water(top: Fields) -> list[WaterMark]:
     stated |= {GAUGE + name: gauge for name, gauge in top.members("gauges").items()}
     marks = []
     for source, fields in stated.items():
-        fields.only("height", "sigma", "epoch")
+        fields.only("height", "sigma", "epoch", "position")
         height, sigma = fields.number("height"), _positive(fields, "sigma")
-        marks.append(WaterMark(source, (None, None, height), sigma, fields.text("epoch", "")))
+        x, y = fields.numbers("position", 2) if "position" in fields else (None, None)
+        marks.append(WaterMark(source, (x, y, height), sigma, fields.text("epoch", "")))
     for line in top.objects("waterline") if "waterline" in top else []:
         line.only("points", "sigma", "epoch")
         sigma, epoch = _positive(line, "sigma"), line.text("epoch", "")
-        marks += [WaterMark("waterline", (x, y, z), sigma, epoch) for x, y, z in line.rows("points", 3)]
+        marks += [WaterMark(WATERLINE, (x, y, z), sigma, epoch) for x, y, z in line.rows("points", 3)]
     return marks
 
 
@@ -136,19 +139,20 @@ def write_survey(survey: Survey, path: str | Path) -> None:
 
 
 def _written_water(survey: Survey) -> dict[str, Any]:
-    """Levels of each source as it would be read, those of places as a waterline."""
+    """Levels of each source as it would be read."""
     columns = survey.level, survey.level_position, survey.level_has_place, survey.level_sigma
     gauges: dict[str, Any] = {}
     levels: dict[str, Any] = {}
     lines: list[dict[str, Any]] = []
     for i, position, has_place, sigma in _rows(*columns):
         of = {"epoch": survey.level_epochs[i]} if survey.level_epochs[i] else {}
-        if has_place:
+        source, place = survey.level_sources[i], {"position": position[:2]} if has_place else {}
+        if source.startswith(GAUGE):
+            gauges[source.removeprefix(GAUGE)] = {"height": position[2], "sigma": sigma, **place, **of}
+        elif source == WATERLINE:
             lines.append({"points": [position], "sigma": sigma, **of})
-        elif survey.level_sources[i].startswith(GAUGE):
-            gauges[survey.level_sources[i].removeprefix(GAUGE)] = {"height": position[2], "sigma": sigma, **of}
         else:
-            levels = {"water_level": {"height": position[2], "sigma": sigma, **of}}
+            levels = {"water_level": {"height": position[2], "sigma": sigma, **place, **of}}
     return levels | ({"gauges": gauges} if gauges else {}) | ({"waterline": lines} if lines else {})
 
 

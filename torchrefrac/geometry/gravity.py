@@ -21,6 +21,14 @@ def level_rotation(down_in_cam: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*ba
     return torch.stack(rows, dim=-1).reshape(*down_in_cam.shape, 3)
 
 
+def levelling(down: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+    """Rotation of the world that takes the unit vector `down` to (0, 0, -1): the shortest, after half a turn about x
+    where the world stands on its head."""
+    flip = down.new_tensor((1.0, -1.0, -1.0))
+    turn = torch.where(down[2] > 0.0, flip, flip.abs())
+    return level_rotation(flip * turn * down).mT * (flip * turn)
+
+
 def heading_rotation(heading: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3 3"]:
     """Rotation by `heading` radians about the vertical, `level_from_world`."""
     c, s = heading.cos(), heading.sin()

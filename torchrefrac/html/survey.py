@@ -24,6 +24,14 @@ def survey_facts(run: RunContents) -> list[tuple[str, str]]:
     level = number(f"water_level_{unit}")
     if level is not None:
         found.append(("level of the water", f"{with_sigma(level, number(f'water_level_sigma_{unit}'))} {unit}"))
+    slopes = [(number(f"water_slope_{name}_mm_per_m"), name) for name in ("east", "north")]
+    rises = [
+        f"{with_sigma(slope, number(f'water_slope_{name}_sigma_mm_per_m'))} mm/m to the {name}"
+        for slope, name in slopes
+        if slope is not None
+    ]
+    if rises:
+        found.append(("the water rises by", ", ".join(rises)))
     land, rise = number(f"land_difference_median_{unit}"), number(f"land_rise_median_{unit}")
     if land is not None and rise is not None:
         words = f"{rounded(land)} {unit} in the median, {rounded(rise)} {unit} in height"

@@ -64,6 +64,13 @@ def _levels(metrics: Mapping[str, Any]) -> list[str]:
     epochs = {} if unit is None else metrics[f"water_levels_{unit}"]
     lines = [f"water of {name}: {level['height']:.6g} {unit} +- {level['sigma']:.2g}" for name, level in epochs.items()]
     sources = [f"{each['source']} {each['weight_percent']:.3g} %" for each in metrics.get("water_level_from", [])]
+    if "water_slope_east_mm_per_m" in metrics:
+        rises = [
+            f"{metrics[f'water_slope_{name}_mm_per_m']:.3g} +- "
+            f"{metrics[f'water_slope_{name}_sigma_mm_per_m']:.2g} mm/m to the {name}"
+            for name in ("east", "north")
+        ]
+        lines.append(f"the water rises by {', '.join(rises)}")
     return [*lines, f"level of the water from {', '.join(sources)}"] if sources else lines
 
 

@@ -1,5 +1,6 @@
 """What a dense reconstruction consists of: oriented points, and what each image sees of the surface."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import torch
@@ -45,6 +46,13 @@ class DenseCloud:
         """Some of the points, by a mask or indices."""
         names = (f.name for f in fields(self) if f.name != "length_unit")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+    @classmethod
+    def joined(cls, clouds: Sequence["DenseCloud"]) -> "DenseCloud":
+        """One or more as one, in their order."""
+        first = clouds[0]
+        names = (f.name for f in fields(first) if f.name != "length_unit")
+        return replace(first, **{name: torch.cat([getattr(cloud, name) for cloud in clouds]) for name in names})
 
     @classmethod
     def empty(cls, length_unit: str) -> "DenseCloud":

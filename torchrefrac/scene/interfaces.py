@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.geometry import Plane
+from torchrefrac.numerics import like
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.refraction.interface import GLASS
 
@@ -66,6 +67,12 @@ class Interfaces:
         ratio = torch.as_tensor(index_ratio, dtype=torch.float64).reshape(1)
         normal = ratio.new_tensor(((0.0, 0.0, 1.0),))
         return cls(normal, ratio.new_full((1,), height), ratio)
+
+    @classmethod
+    def of_plane(cls, plane: Plane, index_ratio: float) -> "Interfaces":
+        """One surface in any plane."""
+        ratio = torch.tensor([index_ratio], dtype=torch.float64)
+        return cls(plane.normal_like(ratio)[None], like(plane.offset, ratio).reshape(1), ratio)
 
     def __len__(self) -> int:
         return len(self.offset)

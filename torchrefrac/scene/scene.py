@@ -10,12 +10,12 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.checks import TorchrefracError
-from torchrefrac.geometry import Rigid
+from torchrefrac.geometry import Rigid, levelling, rotate
 from torchrefrac.scene.capture import Capture
 from torchrefrac.scene.findings import Finding
 from torchrefrac.scene.georeference import Georeference
 from torchrefrac.scene.interfaces import Interfaces
-from torchrefrac.scene.survey import Surveyed
+from torchrefrac.scene.survey import Surveyed, vertical
 from torchrefrac.scene.tables import Cameras, Observations, Views
 
 
@@ -46,9 +46,12 @@ class Assessment:
     level does for all.
     stopped_after: iterations of the last adjustment, where it stopped before it converged.
     lowered_by: how much lower than the positions that the capture or the survey states the scene stands, in whose frame
-    it is otherwise: by the height of the water there; None: it is in a frame of its own.
+    it is otherwise: by the height of the water there; None: it is in a frame of its own. up: the vertical of that
+    frame, a unit vector in the scene's, in which it is not z where the water slopes.
     tilt_sigma: of the tilt of the water to the cameras, radians, where it was refined; None: it was not.
-    level_covariance: of the heights of the interfaces in the frame of the positions; None: it is not known.
+    level_covariance: of the heights of the interfaces in the frame of the positions, of those that may slope at the
+    middle of the cameras; None: it is not known. plane_covariance: of the height of each at x = y = 0, and of its
+    slopes along x and y; None: these did not vary.
     surveyed: what became of the survey that the scene was adjusted with; None: there was none.
     water_stated: index ratio of water that was stated, but that the images do not show; None: there is none such.
     in_air_and_water: of a scene without refraction, what its typical reprojection error is and would be under water.
@@ -72,7 +75,9 @@ class Assessment:
     levels: Float[Tensor, " m"] | None = None
     stopped_after: int | None = None
     lowered_by: float | None = None
+    up: Float[Tensor, "3"] = field(default_factory=vertical)
     level_covariance: Float[Tensor, "e e"] | None = None
+    plane_covariance: Float[Tensor, "e 3 3"] | None = None
     surveyed: Surveyed | None = None
     tilt_sigma: float | None = None
     water_stated: float | None = None
@@ -110,6 +115,28 @@ class Assessment:
     def water_level_sigma(self) -> float | None:
         """That of the height of the first interface."""
         return None if self.level_sigma is None else float(self.level_sigma[0])
+
+    def level_variance(
+        self, surface: Int[Tensor, " k"], first: Float[Tensor, "k 2"], second: Float[Tensor, "k 2"]
+    ) -> Float[Tensor, " k"]:
+        """Covariances of the heights of interfaces at two places each."""
+        if self.plane_covariance is None:
+            assert self.level_covariance is not None
+            return self.level_covariance.diagonal().clamp(min=0.0)[surface]
+        one = torch.ones_like(first[:, :1])
+        first, second = torch.cat((one, first), dim=1), torch.cat((one, second), dim=1)
+        return (first[:, None] @ self.plane_covariance[surface] @ second[..., None])[:, 0, 0]
+
+    @property
+    def level_from_world(self) -> Float[Tensor, "3 3"]:
+        """Rotation into the frame that is level."""
+        return levelling(-self.up)
+
+    @property
+    def slope(self) -> tuple[float, float]:
+        """By how much the plane z = 0 rises to the east and to the north, per unit of length."""
+        east, north = (self.up[:2] / self.up[2]).tolist()
+        return east, north
 
     @property
     def point_sigma(self) -> Float[Tensor, " n"] | None:
@@ -283,6 +310,17 @@ class Scene:
         interfaces, of = self.interfaces, self.views.interface
         normal, offset = interfaces.normal[of], interfaces.offset[of]
         return -offset if interfaces.move_with_camera else (normal * self.views.center).sum(dim=-1) - offset
+
+    @property
+    def middle(self) -> Float[Tensor, "3"]:
+        """Of the centres of registered views; zero where there are none."""
+        center = self.views.center[self.views.registered]
+        return center.sum(dim=0) / max(len(center), 1)
+
+    @property
+    def down_in_cam(self) -> Float[Tensor, "m 3"]:
+        """Which way is down in each view, unit vectors."""
+        return -rotate(self.views.rotation, self.assessment.up.to(self.views.rotation))
 
     def support(self) -> Int[Tensor, " m"]:
         """How many accepted observations each view has."""

@@ -1,7 +1,7 @@
 """A survey: what was measured on site, beside the photographs, and how well."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
@@ -9,8 +9,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.checks import TorchrefracError
+from torchrefrac.geometry import Rigid, rotate
 from torchrefrac.scene.capture import Capture
 from torchrefrac.scene.georeference import Georeference
+
+
+def vertical() -> Float[Tensor, "3"]:
+    """The unit vector z, which is up in every frame that is level."""
+    return torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
 
 
 class SurveyError(TorchrefracError, ValueError):
@@ -83,8 +89,10 @@ class Survey:
     once where its position is known. Some lie in the water surface, with waterline_sigma along its normal; distances
     between some are known (bars). Of check points the position is known, too, but takes no part in an adjustment.
 
-    Levels: places in the water surface, with level_sigma along its normal; where not level_has_place, only z counts.
-    level: rows of level_sources, who says so, and of level_epochs, of which epoch ("": there is one).
+    Levels: places in the water surface, with level_sigma along its normal; where not level_has_place, only the height
+    counts. level: rows of level_sources, who says so, and of level_epochs, of which epoch ("": there is one).
+
+    up: the vertical in its frame, a unit vector; z, unless the frame slopes with the water.
 
     skipped: images that the survey names and the scene does not have; nothing measured of them is in the tables.
     skipped_controls: points that could not be placed without those images; they and their scale bars are not in the
@@ -123,6 +131,7 @@ class Survey:
     level_position: Float[Tensor, "l 3"]
     level_has_place: Bool[Tensor, " l"]
     level_sigma: Float[Tensor, " l"]
+    up: Float[Tensor, "3"] = field(default_factory=vertical)
     skipped: tuple[str, ...] = ()
     skipped_controls: tuple[str, ...] = ()
     georeference: Georeference | None = None
@@ -143,8 +152,17 @@ class Survey:
 
     def lowered(self, by: float) -> "Survey":
         """The same in a frame whose origin is so much higher."""
-        down = self.center.new_tensor((0.0, 0.0, by))
-        return replace(self, **{name: getattr(self, name) - down for name in POSITIONS})
+        return self.moved(Rigid(torch.eye(3, dtype=torch.float64), by * vertical()))
+
+    def moved(self, motion: Rigid) -> "Survey":
+        """The same in the frame to which a motion leads."""
+        moved = {name: motion.apply(getattr(self, name)) for name in POSITIONS}
+        return replace(self, **moved, **self._turned(motion.rotation))
+
+    def _turned(self, turn: Float[Tensor, "3 3"]) -> dict[str, Float[Tensor, "..."]]:
+        """What has directions, in a frame that is turned."""
+        information = {name: turn @ getattr(self, name) @ turn.mT for name in INFORMATIONS}
+        return {**information, "up": rotate(turn, self.up)}
 
     def beside(self, capture: Capture) -> "Survey":
         """The same for a capture of the same images that already has the gravity of it: without gravity, and with the
@@ -193,8 +211,11 @@ class Survey:
 
     def placed(self, georeference: Georeference) -> "Survey":
         """The same, which has coordinates of a reference system, in a local frame there."""
-        local = {name: georeference.local(getattr(self, name)) for name in POSITIONS}
-        return replace(self, **local, georeference=georeference)
+        axis = self.level_position.new_tensor(georeference.origin[:2]).expand(len(self.level), 2)
+        anywhere = torch.cat((axis, self.level_position[:, 2:]), dim=1)
+        placed = replace(self, level_position=torch.where(self.level_has_place[:, None], self.level_position, anywhere))
+        local = {name: georeference.local(getattr(placed, name)) for name in POSITIONS}
+        return replace(placed, **local, **self._turned(georeference.level_from_local.mT), georeference=georeference)
 
     def without(self, centers: Bool[Tensor, " c"], control: Bool[Tensor, " p"]) -> "Survey":
         """The same without some of the camera centres and some of the known positions of control points."""
@@ -212,6 +233,8 @@ class Survey:
 LEVELS = ("level_sources", "level_epochs", "level", "level_position", "level_has_place", "level_sigma")
 POSITIONS = ("center", "known_position", "check_position", "level_position")
 """The fields of a survey that hold places in its frame."""
+INFORMATIONS = ("center_information", "known_information", "check_information")
+"""And those that hold what is known of these along its axes."""
 
 
 @dataclass(frozen=True, eq=False)

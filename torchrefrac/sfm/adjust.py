@@ -27,7 +27,7 @@ from torchrefrac.bundle.terms import concerned_points
 from torchrefrac.numerics import typical_deviation
 from torchrefrac.optim import SingularError
 from torchrefrac.recorder import Advance, Recorder
-from torchrefrac.scene import Assessment, Part, Scene, mean_deviation
+from torchrefrac.scene import Assessment, Interfaces, Part, Scene, mean_deviation
 from torchrefrac.sfm.outcome import Adjustment, Outcome
 from torchrefrac.sfm.rules import Rules
 
@@ -109,6 +109,11 @@ def with_height(bundle: BundleOptions) -> BundleOptions:
     return replace(bundle, refine=tuple(dict.fromkeys((*bundle.refine, "plane_height"))))
 
 
+def with_slope(bundle: BundleOptions) -> BundleOptions:
+    """With its height and its tilt free, which levels stated of several places fix."""
+    return replace(bundle, refine=tuple(dict.fromkeys((*with_height(bundle).refine, "plane_tilt"))))
+
+
 def with_noise_found(bundle: BundleOptions, report: BundleReport) -> BundleOptions:
     """Options for another adjustment, which knows the noise of keypoints from one before it: at most what is expected.
 
@@ -161,9 +166,23 @@ def common_tilt(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Float[Tens
 
 
 def _of_levels(known: Uncertainty) -> Float[Tensor, "e e"]:
-    """Covariance of the heights of the interfaces."""
+    """Covariance of the heights of the interfaces, none of which tilts."""
     columns = known.layout.plane_columns(known.layout.interfaces)[:, 2]
     return known.covariance[columns[:, None], columns]
+
+
+def _of_planes(known: Uncertainty, surfaces: Interfaces) -> Float[Tensor, "e e 3 3"]:
+    """Covariances of the interfaces as z = h + s . (x, y): of h and s. An interface tilts about two tangents, by which
+    its normal n changes, and its offset d does not: h = d / n_z, s = -n_xy / n_z."""
+    columns, normal = known.layout.plane_columns(known.layout.interfaces), surfaces.normal
+    first, second = surfaces.planes.tangents_like(normal)
+    turns = torch.stack((-second, first, torch.zeros_like(first)), dim=-1)
+    rises = normal.new_tensor((0.0, 0.0, 1.0)).expand(len(normal), 1, 3)
+    plane = torch.cat((surfaces.offset[:, None], -normal[:, :2]), dim=1)
+    by = torch.cat((rises, -turns[:, :2]), dim=1) - plane[..., None] * turns[:, 2:] / normal[:, 2:, None]
+    by = by / normal[:, 2:, None]
+    covariance = known.covariance[columns[:, None, :, None], columns[None, :, None]]
+    return by[:, None] @ covariance @ by[None].mT
 
 
 def _problem(part: Part, rules: Rules, fixed: dict[str, str]) -> BundleProblem:
@@ -183,6 +202,12 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         return Assessment(fixed=fixed)
     fixed = fixed | coefficients_as_stated(problem.layout, scene.cameras)
     centers = known.pose[:, 3:, 3:]
+    levels = _of_levels(known) if "plane_height" in problem.layout.water else None
+    planes = None
+    if levels is not None and "plane_tilt" in problem.layout.water:
+        planes = _of_planes(known, scene.interfaces)
+        middle = torch.nn.functional.pad(scene.middle[:2], (1, 0), value=1.0)
+        levels = torch.einsum("i,efij,j->ef", middle, planes, middle)
     tilts = [each.posterior for each in found if each.name == "plane_tilt" and "plane_tilt" in problem.layout.water]
     wished = [wished_changes(problem, scene, name, known.pixel_sigma).items() for name in GIVEN]
     if scene.interfaces.may_have_glass:
@@ -203,6 +228,7 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         surface_moves=known.common is not None and known.common.moving_slope > known.common.still_slope,
         common_tilt=None if known.common is None else known.common.tilt(len(scene.views)),
         growth=known.growth,
-        level_covariance=_of_levels(known) if "plane_height" in problem.layout.water else None,
+        level_covariance=levels,
+        plane_covariance=None if planes is None else planes.diagonal(dim1=0, dim2=1).movedim(-1, 0),
         tilt_sigma=math.radians(tilts[0]) if tilts else None,
     )

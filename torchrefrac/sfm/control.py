@@ -16,8 +16,10 @@ from torchrefrac.bundle import (
     Term,
     WaterLevels,
     Waterline,
+    WaterSlope,
 )
 from torchrefrac.scene import Observations, Part, Scene, Survey, SurveyError
+from torchrefrac.sfm.stated_levels import SLOPES, StatedLevels, places_of_levels, surface_of_levels
 
 MAX_DISAGREEMENT_DEG = 45.0
 CLICK = 0.5
@@ -68,14 +70,15 @@ def survey_terms(survey: Survey, part: Part, ties: int) -> Sequence[Term]:
     ground control points.
 
     Measurements of what does not take part are left out. A control point on the waterline lies in the surface of the
-    first view that shows it; levels are those of the surfaces of their epochs.
+    first view that shows it; levels are those of the surfaces of their epochs. Where they show the slope of the water,
+    it departs from the horizontal by SLOPES.
     """
     image_slot = _slots(part.view, len(survey.names))
     slot = _slots(part.point, ties + len(survey.control_names))[ties:]
     terms: list[Term] = []
     rows, image = _present(image_slot, survey.down_image)
     if len(rows):
-        terms.append(GravityPrior(survey.down_in_cam[rows], survey.down_sigma[rows], image))
+        terms.append(GravityPrior(survey.down_in_cam[rows], survey.down_sigma[rows], image, survey.up))
     rows, image = _present(image_slot, survey.height_image)
     if len(rows):
         terms.append(HeightPrior(image, survey.height[rows], survey.height_sigma[rows]))
@@ -91,22 +94,18 @@ def survey_terms(survey: Survey, part: Part, ties: int) -> Sequence[Term]:
         surface = part.scene.views.interface[seen.view[torch.searchsorted(seen.point, point)]]
         terms.append(Waterline(point, surface, survey.waterline_sigma[rows]))
     if len(survey.level):
-        middle = part.scene.views.center.mean(dim=0)[:2].expand(len(survey.level), 2)
-        anywhere = torch.cat((middle, survey.level_position[:, 2:]), dim=1)
-        places = torch.where(survey.level_has_place[:, None], survey.level_position, anywhere)
-        terms.append(WaterLevels(surface_of_levels(survey, part.scene)[survey.level], places, survey.level_sigma))
+        surface, places = surface_of_levels(survey, part.scene)[survey.level], places_of_levels(survey, part.scene)
+        terms.append(WaterLevels(surface, places, survey.level_sigma))
+        levels = StatedLevels.of(survey, part.scene)
+        if levels.show_slope(part.scene):
+            across = torch.linalg.cross(survey.up, torch.nn.functional.pad(levels.along, (0, 1)))
+            axes = torch.stack((torch.linalg.cross(across, survey.up), across))
+            terms.append(WaterSlope(axes / axes.norm(dim=-1, keepdim=True), axes.new_tensor(SLOPES)))
     bars = (slot[survey.bar_from] >= 0) & (slot[survey.bar_to] >= 0)
     if bool(bars.any()):
         ends = slot[survey.bar_from[bars]], slot[survey.bar_to[bars]]
         terms.append(ScaleBars(*ends, survey.bar_length[bars], survey.bar_sigma[bars]))
     return terms
-
-
-def surface_of_levels(survey: Survey, scene: Scene) -> Int[Tensor, " s"]:
-    """Which interface of a scene each source of levels is about: that of its epoch, or the only one."""
-    epochs = scene.capture.epochs if scene.capture is not None and len(scene.interfaces) > 1 else ()
-    rows = [epochs.index(name) if name in epochs else 0 for name in survey.level_epochs]
-    return torch.tensor(rows, dtype=torch.long)
 
 
 def _slots(ids: Int[Tensor, " k"], count: int) -> Int[Tensor, " n"]:

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.geometry import Similarity, heading_rotation, level_rotation, split_heading
+from torchrefrac.geometry import Similarity, heading_rotation, levelling, split_heading
 from torchrefrac.scene import Capture, Scene
 from torchrefrac.sfm.heights import fit_heights
 from torchrefrac.sfm.walls import gravity_in_world
@@ -86,11 +86,3 @@ def mean_level(scene: Scene, capture: Capture) -> Float[Tensor, "3 3"]:
     rotation = scene.views.rotation[registered]
     down = (rotation.mT @ capture.down_in_cam[registered][..., None])[..., 0].mean(dim=0)
     return levelling(down / down.norm())
-
-
-def levelling(down: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """Rotation of the world that takes the unit vector `down` to (0, 0, -1): the shortest, after half a turn about x
-    where the world stands on its head."""
-    flip = down.new_tensor((1.0, -1.0, -1.0))
-    turn = torch.where(down[2] > 0.0, flip, flip.abs())
-    return level_rotation(flip * turn * down).mT * (flip * turn)

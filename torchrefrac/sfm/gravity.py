@@ -74,7 +74,7 @@ def worst_gravity(
 
 def _off(scene: Scene, down_in_cam: Float[Tensor, "m 3"], down_sigma: Float[Tensor, " m"]) -> Float[Tensor, " m"]:
     """Angles between verticals in standard deviations; 0 where one of them is not known."""
-    off = angle_between(-scene.views.rotation[:, :, 2], down_in_cam) / down_sigma
+    off = angle_between(scene.down_in_cam, down_in_cam) / down_sigma
     return torch.where(scene.views.registered, off, 0.0)
 
 

@@ -22,6 +22,7 @@ from torchrefrac.sfm.adjust import (
     with_errors_found,
     with_height,
     with_noise_found,
+    with_slope,
 )
 from torchrefrac.sfm.complete_tracks import complete_tracks
 from torchrefrac.sfm.dry_points import disputed, find_dry, same_dry, stated_sides, with_dry
@@ -90,8 +91,9 @@ def reconstruct_sparse(
             assessment = replace(assessment.of_points(torch.arange(len(scene.part().point))), surveyed=surveyed)
         assessment = with_levels(assessment, scene, rules, growth.fixed)
         advance(1, "")
-    level = None if growth.frame is None else growth.frame.level
-    assessment = replace(assessment, stopped_after=growth.stopped_after, lowered_by=level)
+    assessment = replace(assessment, stopped_after=growth.stopped_after)
+    if growth.frame is not None:
+        assessment = replace(assessment, lowered_by=growth.frame.level, up=growth.frame.used.up)
     return replace(scene.trimmed(), failures=growth.failures, assessment=assessment)
 
 
@@ -115,6 +117,7 @@ class _Growth:
         self.final = self.rules  # with the noise and the errors that the last adjustment has shown
         self.down_sigma = capture.down_sigma  # infinite where gravity turns out to be wrong
         self.frame: SurveyFrame | None = None
+        self.slopes = False
         self.failures: dict[str, str] = {}
         self.fixed: dict[str, str] = {}
         self.stopped_after: int | None = None
@@ -130,7 +133,8 @@ class _Growth:
         """Gravity where there is something to see the vertical by, and the survey, once the scene is in its frame."""
         terms: list[Term] = []
         if part.scene.interfaces.stand_in_world or self.in_place:
-            terms.append(GravityPrior(self.capture.down_in_cam[part.view], self.down_sigma[part.view]))
+            up = None if self.frame is None else self.frame.used.up
+            terms.append(GravityPrior(self.capture.down_in_cam[part.view], self.down_sigma[part.view], up=up))
         if part.scene.interfaces.has_layers:  # whose thickness is in the unit of the capture
             rows = self.capture.has_height[part.view].nonzero()[:, 0]
             which = part.view[rows]
@@ -255,15 +259,25 @@ class _Growth:
         sigma = assess_scene(scene, self.final, self.fixed).level_sigma
         if sigma is None or not scene.interfaces.stand_in_world:
             return scene
-        agree = StatedLevels.of(self.frame.stated, scene).agree_with(scene.interfaces.offset, sigma)
+        levels = StatedLevels.of(self.frame.stated, scene)
+        agree = levels.agree_with(levels.at_interfaces(scene), sigma[levels.surface])
+        if levels.show_slope(scene):
+            in_plane = levels.agree_on_slope(scene, sigma)
+            self.slopes = levels.show_slope(scene, in_plane)
+            agree = in_plane if self.slopes else agree & in_plane
         if not bool(agree.any()):
             return scene
         self.frame = self.frame.with_levels(agree)
+        if self.slopes:
+            self.rules = replace(self.rules, bundle=with_slope(self.rules.bundle))
         return self._at_zero(self._converged(scene, self._needing(length)))
 
     def _at_zero(self, scene: Scene) -> Scene:
         """With the water at z = 0, and the survey likewise."""
         if not scene.interfaces.stand_in_world:
+            return scene
+        if self.frame is not None and self.slopes:
+            self.frame, scene = self.frame.with_water_at_zero(scene)
             return scene
         scene, by = with_water_at_zero(scene)
         self.frame = self.frame and self.frame.lowered(by)
@@ -275,7 +289,7 @@ class _Growth:
             dry = find_dry(scene, rules, self.sides(scene))
             if same_dry(dry, scene.dry):
                 break
-            scene = self._converged(with_dry(scene, dry), rules)
+            scene = self._at_zero(self._converged(with_dry(scene, dry), rules))
         return scene
 
     def sides(self, scene: Scene) -> Int[Tensor, " n"] | None:

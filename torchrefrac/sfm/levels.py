@@ -36,7 +36,8 @@ def with_levels(assessment: Assessment, scene: Scene, rules: Rules, fixed: Mappi
     if m < FEWEST_VIEWS or sigma is None or len(scene.interfaces) > 1 or not scene.interfaces.stand_in_world:
         return assessment
     each = with_surfaces(part.scene, torch.arange(m))
-    refined = (name for name in rules.bundle.refine if name not in fixed)
+    of_all = {"plane_tilt", *fixed}
+    refined = (name for name in rules.bundle.refine if name not in of_all)
     layout = Layout.create(each, tuple(dict.fromkeys((*refined, "plane_height", "index_ratio", "focal"))))
     problem = BundleProblem.create(each, layout, replace(rules.bundle, pixel_sigma=sigma), rules.measurements(part))
     linearized = problem.linearize(each)

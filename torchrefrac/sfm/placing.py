@@ -6,11 +6,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.geometry import Similarity, so3_log
+from torchrefrac.geometry import Similarity, levelling, so3_log
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Scene, Survey, SurveyError
 from torchrefrac.sfm.control import with_control
-from torchrefrac.sfm.frame import levelling, moved, transformed
+from torchrefrac.sfm.frame import moved, transformed
 from torchrefrac.sfm.gravity import unlikely
 from torchrefrac.sfm.positions import with_meeting_points
 from torchrefrac.sfm.stated_places import FEWEST, FEWEST_LEVEL, StatedPlaces

@@ -11,13 +11,14 @@ from torch import Tensor
 from torchrefrac.bundle import BundleOptions, Term, UnadjustableError, check_inputs
 from torchrefrac.recorder import Advance, Recorder, SilentRecorder
 from torchrefrac.scene import Assessment, Part, Scene, Survey
-from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess, with_height
+from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess, with_height, with_slope
 from torchrefrac.sfm.control import check_vertical, survey_terms, with_control
 from torchrefrac.sfm.dry_points import find_dry, with_dry
 from torchrefrac.sfm.filter_points import filter_points
 from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.positions import FEWEST, without_contradicted
 from torchrefrac.sfm.rules import ReadjustOptions
+from torchrefrac.sfm.stated_levels import StatedLevels
 from torchrefrac.sfm.triangulate import triangulate
 
 MOST_SHOWN = 50_000  # points of a cloud for the recorder
@@ -48,7 +49,8 @@ def readjust(
     stated = survey or Survey.empty(scene.views.names)
     options, recorder = options or ReadjustOptions(), recorder or SilentRecorder()
     if stated.level_sources:
-        options = replace(options, bundle=with_height(options.bundle))
+        slopes = StatedLevels.of(stated, scene).show_slope(scene)
+        options = replace(options, bundle=(with_slope if slopes else with_height)(options.bundle))
     with recorder.meter(1, "placing", "") as advance:
         work = Work(scene, _most_positions(scene, stated, options), options, recorder)
         first = work.start(scene)
@@ -59,7 +61,7 @@ def readjust(
         assert outcome.report is not None
         report = outcome.report
         assessment = assess(report.problem, report.scene, report.fixed).spread_over(adjusted.placed)
-        assessment = replace(assessment, stopped_after=report.stopped_after)
+        assessment = replace(assessment, stopped_after=report.stopped_after, up=stated.up)
         advance(1, "")
     missing, median = int((~first.placed[: work.ties]).sum()), float(before[before.isfinite()].median())
     outcome = replace(outcome, numbers={"not_triangulated": missing, "median_before": median}, survey=work.survey)

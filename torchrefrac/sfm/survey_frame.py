@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.bundle import Term
-from torchrefrac.geometry import Similarity
-from torchrefrac.scene import Capture, Part, Scene, Survey, Surveyed
+from torchrefrac.geometry import Rigid, Similarity, levelling, rotate
+from torchrefrac.scene import Capture, Interfaces, Part, Scene, Survey, Surveyed
 from torchrefrac.sfm.control import CLICK, survey_terms, with_control
 from torchrefrac.sfm.frame import fix_frame, mean_level, transformed
 from torchrefrac.sfm.positions import surveyed, with_meeting_points, without_contradicted
@@ -25,7 +25,7 @@ class SurveyFrame:
     """Of a scene whose points after the first `ties` are the ground control points of a survey: stated, all that was
     measured, in the frame of the scene; used: without what most others contradict; level: by how much the frame of the
     scene is higher than that of the survey; None: it is a frame of its own, in the unit of the survey. mistake: see
-    `Surveyed`."""
+    `Surveyed`. Where the water slopes the frame is turned besides, by what is up in it."""
 
     stated: Survey
     used: Survey
@@ -37,6 +37,23 @@ class SurveyFrame:
         """The same with the water so much higher."""
         level = None if self.level is None else self.level + by
         return replace(self, stated=self.stated.lowered(by), used=self.used.lowered(by), level=level)
+
+    @property
+    def survey_from_world(self) -> Rigid:
+        """From the frame of the scene to that of the survey, which is level."""
+        return _above_water(self.used.up, self.level or 0.0)
+
+    def with_water_at_zero(self, scene: Scene) -> tuple["SurveyFrame", Scene]:
+        """The same where the one interface of a scene, which slopes, is z = 0; and the scene there."""
+        survey_from_old = self.survey_from_world
+        plane = scene.interfaces.planes.in_frame(survey_from_old.rotation, survey_from_old.center)
+        (normal,), (height,) = plane.normal_like(scene.points), plane.offset / plane.normal_like(scene.points)[:, 2]
+        survey_from_new = _above_water(normal * normal.new_tensor((-1.0, -1.0, 1.0)), float(height))
+        change = survey_from_new.inverse @ survey_from_old
+        shift = -rotate(change.rotation, change.center)
+        turned = transformed(scene, Similarity(torch.ones_like(height), change.rotation, shift))
+        frame = replace(self, stated=self.stated.moved(change), used=self.used.moved(change), level=float(height))
+        return frame, replace(turned, interfaces=Interfaces.level(scene.index_ratio))
 
     def terms(self, part: Part) -> Sequence[Term]:
         """What was measured of a part of the scene."""
@@ -66,6 +83,12 @@ class SurveyFrame:
             accepted=scene.accepted[tied],
         )
         return tied_scene, replace(surveyed(scene, self.stated, self.used), mistake=self.mistake)
+
+
+def _above_water(up: Float[Tensor, "3"], height: float) -> Rigid:
+    """To a level frame from one in which the vertical is `up`, and whose origin is so much higher."""
+    rotation = levelling(-up)
+    return Rigid(rotation, -height * rotation[2])
 
 
 def placed_by_survey(

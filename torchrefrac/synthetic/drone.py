@@ -36,7 +36,8 @@ def drone_tags(stage: Stage, intrinsics: Sequence[Intrinsics], options: Syntheti
     error = torch.randn(stage.center.shape, generator=seeded(options.seed, "satellites"), dtype=torch.float64)
     spread = error.new_tensor((sigma[0], sigma[0], sigma[1]))
     grid = Grid(CRS)
-    place = Georeference(CRS, ORIGIN, scale=grid.scale_at(ORIGIN, ORIGIN[2]))
+    slope_east, slope_north, _ = (_world_from_level(options)[:, 2] / _world_from_level(options)[2, 2]).tolist()
+    place = Georeference(CRS, ORIGIN, scale=grid.scale_at(ORIGIN, ORIGIN[2]), slope=(slope_east, slope_north))
     position = place.coordinates(stage.center + spread * error)
     latitude, longitude, north = grid.degrees(position[:, :2].numpy())
     yaw, pitch, roll = (angle.rad2deg() for angle in _gimbal(stage.rotation, options))
@@ -62,12 +63,17 @@ def drone_tags(stage: Stage, intrinsics: Sequence[Intrinsics], options: Syntheti
     ]
 
 
+def _world_from_level(options: SyntheticOptions) -> Float[Tensor, "3 3"]:
+    """Into the frame of the water, which true gravity may not be perpendicular to, as on a river."""
+    return so3_exp(torch.tensor((*options.plane_tilt_deg, 0.0), dtype=torch.float64).deg2rad())
+
+
 def _gimbal(
     rotation: Float[Tensor, "m 3 3"], options: SyntheticOptions
 ) -> tuple[Float[Tensor, " m"], Float[Tensor, " m"], Float[Tensor, " m"]]:
     """Yaw from the grid's north, pitch and roll, radians, of cameras with `cam_from_world` rotation: true gravity may
     depart from the perpendicular of the water, and the gimbal from what it says."""
-    tilt = so3_exp(torch.tensor((*options.plane_tilt_deg, 0.0), dtype=torch.float64).deg2rad())
+    tilt = _world_from_level(options)
     shaken = torch.randn(len(rotation), 3, generator=seeded(options.seed, "gimbal"), dtype=torch.float64)
     yaw, pitch, roll = angles_of(so3_exp(math.radians(options.drone.gimbal_sigma_deg) * shaken) @ rotation @ tilt)
     past = roll.abs() > 0.75 * math.pi  # straight down, which this gimbal says by a pitch below -90 degrees

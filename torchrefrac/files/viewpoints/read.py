@@ -36,4 +36,5 @@ def viewpoints_of(scene: Scene, crs: str | None = None) -> Viewpoints:
     field = field_of_view(scene.cameras, views.camera)
     if place is None or crs is None:
         return Viewpoints(views.names, views.center, views.rotation, field)
-    return Viewpoints(views.names, place.coordinates(views.center), views.rotation, field, place.name)
+    rotation = views.rotation @ place.level_from_local.mT
+    return Viewpoints(views.names, place.coordinates(views.center), rotation, field, place.name)
