@@ -221,8 +221,7 @@ def test_photographs_of_two_levels_of_the_water_show_one_surface(slope, tmp_path
     of_later = scene.observations.view == 1
     pixels = scene.observations.pixels.clone()
     pixels[of_later] = lower[1].project(scene.points[scene.observations.point[of_later]] - rise)[0]
-    levels = Interfaces(*(torch.cat((part, part)) for part in vars(Interfaces.level(1.33)).values()))
-    levels = replace(levels, offset=torch.tensor((0.0, 3.0), dtype=torch.float64))
+    levels = replace(Interfaces.level(1.33).repeated(2), offset=torch.tensor((0.0, 3.0), dtype=torch.float64))
     seen = replace(scene.observations, pixels=pixels)
     two = replace(
         scene,

@@ -53,7 +53,9 @@ class SurveyFrame:
         shift = -rotate(change.rotation, change.center)
         turned = transformed(scene, Similarity(torch.ones_like(height), change.rotation, shift))
         frame = replace(self, stated=self.stated.moved(change), used=self.used.moved(change), level=float(height))
-        return frame, replace(turned, interfaces=Interfaces.level(scene.index_ratio))
+        level = Interfaces.level(scene.index_ratio)
+        water = replace(scene.interfaces, normal=level.normal, offset=level.offset)
+        return frame, replace(turned, interfaces=water)
 
     def terms(self, part: Part) -> Sequence[Term]:
         """What was measured of a part of the scene."""
