@@ -88,6 +88,14 @@ def test_several_interfaces_have_their_places_and_images_name_theirs(tmp_path):
     assert interface_of_images(content, content.objects("images")).tolist() == [1, 0]
 
 
+def test_interfaces_without_a_relation_are_refused(tmp_path):
+    top = {"kind": "surface", "index_ratio": 1.333}
+    content = Fields({"interfaces": {"top": top, "side": WALL}}, tmp_path / "capture.json", "")
+
+    with pytest.raises(CaptureError, match=r"interfaces\.top\.normal is missing, but several interfaces must"):
+        read_interfaces(content)
+
+
 @pytest.mark.parametrize(
     ("interface", "sentence"),
     [

@@ -27,7 +27,7 @@ from torchrefrac.figures.matches import StagePictures
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.survey import SURVEY, read_survey
 from torchrefrac.recorder import Recorder, SilentRecorder
-from torchrefrac.scene import Capture, Scene, Survey, SurveyError, Truth, WarningCode, with_measured
+from torchrefrac.scene import Capture, CaptureError, Scene, Survey, SurveyError, Truth, WarningCode, with_measured
 from torchrefrac.sfm import (
     PinholeInitializer,
     PortInitializer,
@@ -81,8 +81,7 @@ def reconstruct(
     """
     options = options or Options()
     survey = survey or survey_of(capture, options)
-    capture = facing_wall(with_measured(capture, survey))
-    check_levels(survey, capture)
+    capture = _prepared(capture, survey)
     recorder = recorder or SilentRecorder()
     stage = _Stages(on_stage)
     generator = torch.Generator().manual_seed(options.seed)
@@ -139,6 +138,18 @@ def reconstruct(
         return replace(found, findings=(*contradictions(found, stated), *about_positions, *doubts(stated)))
 
     return stage("sparse", sparse)
+
+
+def _prepared(capture: Capture, survey: Survey) -> Capture:
+    """The capture with what was measured on site, in the frame of what it looks through."""
+    if len(capture.interfaces) > 1:
+        raise CaptureError(
+            f"{capture.folder / 'capture.json'} has {len(capture.interfaces)} interfaces, whose photographs known points "
+            "alone relate: find their poses by torchrefrac calibrate capture=DIR"
+        )
+    capture = facing_wall(with_measured(capture, survey))
+    check_levels(survey, capture)
+    return capture
 
 
 def run(

@@ -115,6 +115,10 @@ def _read_interface(fields: Fields, alone: bool) -> Interfaces:
     elif alone and "normal" not in fields:
         normal, offset = [0.0, 0.0, 1.0], 0.0
     else:
+        for name in OF_WALL:
+            if name not in fields:
+                wanted = "several interfaces must say where they are in one frame: normal . x = offset"
+                raise fields.fail(name, f"is missing, but {wanted}")
         normal, offset = _unit(fields, "normal"), fields.number("offset")
     table = [torch.tensor([values], dtype=torch.float64) for values in (normal, offset, ratio, layers, thickness)]
     return Interfaces(*table, kinds=(kind,), sigmas=sigmas)
