@@ -179,7 +179,7 @@ def test_only_registered_images_with_a_true_pose_take_part(perfect, truth):
 def test_without_a_true_index_or_intrinsics_there_are_no_errors_of_points(perfect, truth):
     other = Intrinsics.create(320, 240, 200.0)
     for less in (
-        replace(truth, index_ratio=None),
+        replace(truth, interfaces=None),
         replace(truth, intrinsics=None),
         replace(truth, intrinsics=other),
     ):

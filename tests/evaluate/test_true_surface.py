@@ -19,7 +19,7 @@ from torchrefrac.geometry import so3_exp
 from torchrefrac.geometry.surfaces import Rectangle
 from torchrefrac.geometry.triangle_mesh import TriangleMesh
 from torchrefrac.refraction import FlatInterface
-from torchrefrac.scene import CaptureError, Truth
+from torchrefrac.scene import CaptureError, Interfaces, Truth
 
 DOUBLE = torch.float64
 UP = torch.tensor((0.0, 0.0, 1.0), dtype=DOUBLE)
@@ -184,7 +184,7 @@ def test_what_is_above_the_water_is_seen_straight_and_hides_what_is_below(draw, 
         edge1=table((1000.0, 0.0, 0.0), (500.0, 0.0, 0.0)),
         edge2=table((0.0, 1000.0, 0.0), (0.0, 1000.0, 0.0)),
         length_unit="cm",
-        index_ratio=1.33,
+        interfaces=Interfaces.level(1.33),
         intrinsics=Intrinsics.create(640, 480, 400.0),
     )
     camera = RefractiveCamera(truth.intrinsics, down, truth.center[0], FlatInterface(1.33))

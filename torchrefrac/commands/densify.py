@@ -26,6 +26,7 @@ from torchrefrac.files.truth import load_truth
 from torchrefrac.geometry import Similarity
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, CaptureError, Scene, SceneError, Truth
+from torchrefrac.scene.wording import wording_of
 
 
 class SparseRun(NamedTuple):
@@ -90,7 +91,7 @@ def dense_stage(
     if outputs.for_surveys:
         files.metrics |= write_survey_products(dense.cloud, scene, outputs, folder, recorder)
     if outputs.depth_maps:
-        write_depth_maps(dense, scene, options, recorder, folder / DEPTH_MAPS)
+        write_depth_maps(dense, scene, options, wording_of(scene, files.metrics), recorder, folder / DEPTH_MAPS)
     files.stage_done(DENSE, dense, seconds)
     parts.clear()
     remove_if_empty(parts.folder.parent, home(folder))
