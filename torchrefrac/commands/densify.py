@@ -9,7 +9,7 @@ import torch
 
 from torchrefrac.commands.dense_outputs import draw_dense_outputs, write_dense_outputs, write_depth_maps
 from torchrefrac.commands.run_folder import DENSE, RunFolder, read_record
-from torchrefrac.commands.survey_products import require_place, write_survey_products
+from torchrefrac.commands.survey_products import require_place, require_surface, write_survey_products
 from torchrefrac.config import DenseOutputs, DensifyOptions, OptionError
 from torchrefrac.dense import DenseError, DenseOptions, FolderStore, densify
 from torchrefrac.dense.images import photographs
@@ -44,6 +44,8 @@ def densify_run(run: SparseRun, options: DensifyOptions, recorder: Recorder) -> 
     still the same.
     """
     require_place(options.outputs, run.scene.georeference)
+    if options.outputs.for_surveys:
+        require_surface(run.scene.interfaces)
     files = RunFolder(run.folder)
     with files.recording_dense():
         truth = load_truth(photographs(run.scene).folder)

@@ -14,7 +14,7 @@ from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.run_folder import RunFolder
-from torchrefrac.commands.survey_products import require_place
+from torchrefrac.commands.survey_products import require_place, require_surface
 from torchrefrac.config import Options, WaterOptions
 from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.evaluate.doubts import doubts
@@ -157,6 +157,8 @@ def run(
     """
     survey = survey_of(capture, options)
     require_place(options.outputs, capture.georeference or survey.georeference)
+    if options.outputs.for_surveys:
+        require_surface(capture.interfaces)
     files, pictures = RunFolder(folder), StagePictures(capture, recorder)
     gravity = with_measured(capture, survey).gravity_metrics
 

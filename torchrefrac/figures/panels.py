@@ -18,6 +18,7 @@ from torchrefrac.figures.side_views import (
     outlines,
     side_direction,
 )
+from torchrefrac.scene.interfaces import SURFACE
 from torchrefrac.scene.truth import Truth
 from torchrefrac.scene.wording import OF_WATER, Wording
 
@@ -98,7 +99,8 @@ def draw_grid(
     if len(outlines(truth)):
         handles.append(legend_key(color=OUTLINE, lw=1.5, label="true planes"))
     legend_above(figure, handles)
-    save(figure, path)
+    of_water = columns[0].words.kind == SURFACE
+    save(figure, path, **({} if of_water else {"bbox_inches": "tight", "pad_inches": 0.1}))
 
 
 def _draw_points(panel: Any, column: Column, row: Row, colored: Any, blur: float) -> None:

@@ -92,6 +92,8 @@ def draw_profiles(raster: Raster, path: Path, words: Wording = OF_WATER) -> bool
         panel.fill_between(distance, height - BAND * sigma, height + BAND * sigma, color=PALE, lw=0.0)
         panel.plot(distance, height, color=ESTIMATE, lw=1.2)
         panel.set(xlim=(0.0, longest), ylim=(low - margin, high + margin), ylabel=f"{words.z} ({unit})")
+        if words.is_wall:
+            panel.yaxis.label.set_size(8)
         panel.set_title(f"{profile.name} to {profile.name}'", loc="left", fontsize=9, color=TEXT, pad=3.0)
         if i == len(every) - 1:
             panel.set_xlabel(f"distance ({unit})")
