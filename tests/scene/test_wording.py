@@ -59,6 +59,15 @@ def test_only_what_is_upright_shows_which_way_is_up(through):
     assert wording_of(through(PORT), {}, upright=True).z == "height"
 
 
+def test_scale_follows_from_glass_only_where_there_is_some(through):
+    scene = through(WALL)
+    thickness = torch.ones(1, 1, dtype=torch.float64)
+    glazed = replace(scene.interfaces, layers=1.52 * thickness, thickness=thickness)
+
+    assert wording_of(scene, {}).scale == OF_WATER.scale
+    assert "thickness of the glass" in wording_of(replace(scene, interfaces=glazed), {}).scale
+
+
 def test_quantities_of_an_adjustment_are_called_by_the_kind():
     tilt = f"{WORDS['plane_tilt']}: determined to 0.01 degrees"
     height = f"{WORDS['plane_height']}: not determined"

@@ -199,8 +199,8 @@ def wording(kind: Kind, upright: bool = False) -> Wording:
 def wording_of(scene: Scene, metrics: Mapping[str, Any], upright: bool = False) -> Wording:
     """Of a scene, from the metrics of its run, which know what was looked through where it was reconstructed without.
     upright: whether it stands in a frame that shows which way is up, whatever the metrics say of gravity."""
-    kind = metrics.get(INTERFACE, kind_of(scene))
-    return wording(kind, upright or metrics.get("gravity") == "measured")
+    words = wording(metrics.get(INTERFACE, kind_of(scene)), upright or metrics.get("gravity") == "measured")
+    return words if scene.interfaces.has_layers else replace(words, scale=OF_WATER.scale)
 
 
 def kind_of(scene: Scene) -> Kind:
