@@ -47,7 +47,14 @@ class RunContents:
     @property
     def words(self) -> Wording:
         """What is called how, by what was looked through; in the frame of the truth, where there is one."""
-        upright = self.aligned is not None
+        return self._wording(self.aligned is not None)
+
+    @property
+    def own_words(self) -> Wording:
+        """The same in the frame of the run, in which its maps are."""
+        return self._wording(upright=False)
+
+    def _wording(self, upright: bool) -> Wording:
         if self.scene is not None:
             scene = replace(self.scene, capture=self.capture)
             return wording_of(scene, self.record.metrics, upright or self._knows_gravity)

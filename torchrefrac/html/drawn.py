@@ -166,10 +166,10 @@ def draw_uncertainty(shown: Scene, truth: Truth | None, words: Wording) -> Drawn
     )
 
 
-def draw_dense(folder: Path, words: Wording) -> list[Drawn]:
-    """The pictures of a dense stage that lie in the folder."""
+def draw_dense(folder: Path, words: Wording, own: Wording) -> list[Drawn]:
+    """The pictures of a dense stage that lie in the folder, in the words of the frame of the truth and of its own."""
     found = []
-    for name, title, caption, look in _dense_pictures(words):
+    for name, title, caption, look in _dense_pictures(words, own):
         try:
             shown = picture(folder / name, DENSE_WIDTH)
         except OSError:
@@ -178,7 +178,7 @@ def draw_dense(folder: Path, words: Wording) -> list[Drawn]:
     return found
 
 
-def _dense_pictures(words: Wording) -> tuple[tuple[str, str, str, str], ...]:
+def _dense_pictures(words: Wording, own: Wording) -> tuple[tuple[str, str, str, str], ...]:
     """Files, titles, what they show and what to look for."""
     level = f"{words.line} and " if words.line else ""
     shore = "The shore should lie where the line of the water meets the surface; a" if words.kind == SURFACE else "A"
@@ -192,10 +192,10 @@ def _dense_pictures(words: Wording) -> tuple[tuple[str, str, str, str], ...]:
          "Pale everywhere is good. A colour that changes slowly over the scene is a bend; speckle is noise of "
          "matching."),
         ("dsm.png", "Depth of the surface" if words.depth else "The surface as a map",
-         f"The dense points as a map seen {words.along_z}, shaded as if lit from one side.",
+         f"The dense points as a map seen {own.along_z}, shaded as if lit from one side.",
          "Steps and ripples that the scene does not have come from the reconstruction."),
         ("profiles.png", "Sections across the surface",
-         f"{capital(words.value)} over distance along three lines across the direction in which the surface is "
+         f"{capital(own.value)} over distance along three lines across the direction in which the surface is "
          f"longest, with {level}two standard deviations on either side.",
          f"{shore} bend that the {words.ground} does not have comes from a wrong index ratio or camera."),
     )  # fmt: skip
