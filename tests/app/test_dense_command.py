@@ -4,6 +4,7 @@ import json
 import shutil
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -38,7 +39,7 @@ def _prepare(sparse, folder, patch):
     _change(folder / "run" / "metrics.json", lambda found: found.update(capture=str(folder / "capture")))
     for module in (dense_outputs, run_folder, comparison):
         for name in {name for name in vars(module) if name.startswith("draw_")}:
-            patch.setattr(module, name, lambda *arguments: arguments[-1].touch())
+            patch.setattr(module, name, lambda *arguments: next(a for a in arguments if isinstance(a, Path)).touch())
 
 
 @pytest.fixture

@@ -168,3 +168,50 @@ def test_errors_that_observations_have_in_common_excuse_gravity(survey):
 
     assert "gravity_contradicts" in _codes(scene, turned)
     assert _codes(replace(scene, assessment=Assessment(common_tilt=wide)), turned) == []
+
+
+def _through(scene, kind):
+    """The same scene with its surface called otherwise: nothing that is compared changes by that."""
+    return replace(scene, interfaces=replace(scene.interfaces, kinds=(kind,)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "check"),
+    [
+        ("surface", "check intrinsics and gravity"),
+        ("wall", "check the glass (thickness and index), the distances from it, and intrinsics"),
+        ("port", "check the port (distance, tilt and glass) and intrinsics"),
+    ],
+)
+def test_a_wrong_index_ratio_is_looked_for_where_it_can_come_from(survey, kind, check):
+    scene = _through(survey.scene(with_points=True), kind)
+    wishing = replace(scene, assessment=Assessment(wished={"index_ratio": (0.05, 0.001)}))
+
+    (found,) = (found for found in contradictions(wishing, survey.capture) if found.code == "index_contradicts")
+
+    assert found.message.endswith(check)
+    assert ("gravity" in found.message) == (kind == "surface")
+
+
+def test_points_anywhere_are_in_the_water_of_a_port(survey):
+    """Which has no level that they could be above."""
+    scene = _through(survey.scene(with_points=True), "port")
+    above = replace(scene, points=scene.points + torch.tensor((0.0, 0.0, 500.0), dtype=torch.float64))
+    vague = replace(above, assessment=Assessment(wished={"index_ratio": (0.0, 1.0)}))
+
+    assert "no_refraction_seen" not in _codes(vague, survey.capture)
+
+
+def test_before_a_wall_distances_are_named_and_the_glass(survey):
+    scene = _through(survey.scene(with_points=True), "wall")
+    heights = survey.capture.height.clone()
+    heights[1] *= 10.0
+    (odd,) = contradictions(scene, _all_measured(survey.capture, heights))
+    (shifted,) = contradictions(scene, _all_measured(survey.capture, survey.capture.height + 40.0))
+    assert odd.message.startswith("the distance from the glass of 1.jpg does not fit")
+    assert "all distances from the glass are too large by 40 cm, as if they were not counted from the glass" in (
+        shifted.message
+    )
+    levels = torch.tensor((0.0, 0.0, 0.0, 0.0, 2.0, 2.0), dtype=torch.float64)
+    (moved,) = contradictions(replace(scene, assessment=Assessment(levels=levels)), survey.capture)
+    assert "the glass stood 2 cm nearer when 4.jpg, 5.jpg were taken" in moved.message

@@ -42,3 +42,17 @@ def test_points_outside_the_water_are_told_apart():
 def test_where_there_are_none_nothing_is_said_of_them(metrics):
     known = {name: value for name, value in METRICS.items() if name != "points_outside_water"}
     assert not any("outside" in line for line in reconstruction_lines(known | metrics))
+
+
+def test_what_is_found_of_walls_and_ports_is_told():
+    of_wall = {"interface": "wall", "wall_upright_off_deg": 0.123, "wall_upright_sigma_deg": 0.41}
+    of_port = {
+        "interface": "port", "port_distance_cm": 2.013, "port_distance_sigma_cm": 0.04,
+        "port_tilt_deg": 1.02, "port_tilt_sigma_deg": 0.02,
+    }  # fmt: skip
+
+    wall, port = (reconstruction_lines(METRICS | metrics) for metrics in (of_wall, of_port))
+
+    assert "by gravity the wall is 0.12 degrees from upright (+- 0.41)" in wall
+    assert "3420 points under water, 128 before the glass, 1437 behind it, but outside the water" in wall
+    assert "port found 2.013 cm ahead (+- 0.04), tilted by 1.02 degrees (+- 0.02)" in port

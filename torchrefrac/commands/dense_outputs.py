@@ -18,6 +18,7 @@ from torchrefrac.files.swap import remove_if_empty
 from torchrefrac.geometry import Similarity
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import DenseCloud, Raster, Scene, Truth
+from torchrefrac.scene.wording import Wording, wording_of
 
 
 def write_dense_outputs(cloud: DenseCloud, raster: Raster | None, outputs: DenseOutputs, folder: Path) -> None:
@@ -40,22 +41,26 @@ def draw_dense_outputs(
     folder: Path,
 ) -> None:
     """The surface from above (where there is a raster), from aside and, where it is known, against the truth."""
+    words = wording_of(scene, metrics)
     if raster is not None:
-        draw_raster(raster, folder / "dsm.png")
-        draw_profiles(raster, folder / PROFILES)
+        draw_raster(raster, folder / "dsm.png", words)
+        draw_profiles(raster, folder / PROFILES, words)
     model = metrics.get("model") or ("refractive" if scene.index_ratio > 1.0 else "none")
     known = truth if alignment is not None else None
     draw_dense_views([dense_view(model, cloud, scene, alignment, metrics)], known, folder / DENSE_VIEW)
     if truth is not None and alignment is not None and len(truth.corner):
-        draw_error_map([error_panel(model, cloud, alignment, truth, metrics)], truth, folder / ERROR_MAP)
+        panel = error_panel(model, cloud, alignment, truth, metrics, wording_of(scene, metrics, upright=True))
+        draw_error_map([panel], truth, folder / ERROR_MAP)
 
 
-def write_depth_maps(dense: Dense, scene: Scene, options: DenseOptions, recorder: Recorder, folder: Path) -> None:
+def write_depth_maps(
+    dense: Dense, scene: Scene, options: DenseOptions, words: Wording, recorder: Recorder, folder: Path
+) -> None:
     """Write and draw what every registered view sees of the surface."""
     stems, count = depth_map_stems(scene.views.names), scene.views.num_registered
     for found in recorder.track(depth_maps(dense, scene, options), count, "depth maps", "image"):
         write_depth_map(found, folder / f"{stems[found.name]}_depth.npz")
-        draw_depth_map(found, folder / f"{stems[found.name]}_depth.png")
+        draw_depth_map(found, folder / f"{stems[found.name]}_depth.png", words)
 
 
 def remove_dense_outputs(folder: Path) -> None:

@@ -9,7 +9,7 @@ import torch
 
 from torchrefrac.commands.dense_outputs import draw_dense_outputs, write_dense_outputs, write_depth_maps
 from torchrefrac.commands.run_folder import DENSE, RunFolder, read_record
-from torchrefrac.commands.survey_products import require_place, write_survey_products
+from torchrefrac.commands.survey_products import require_place, require_surface, write_survey_products
 from torchrefrac.config import DenseOutputs, DensifyOptions, OptionError
 from torchrefrac.dense import DenseError, DenseOptions, FolderStore, densify
 from torchrefrac.dense.images import photographs
@@ -26,6 +26,7 @@ from torchrefrac.files.truth import load_truth
 from torchrefrac.geometry import Similarity
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, CaptureError, Scene, SceneError, Truth
+from torchrefrac.scene.wording import wording_of
 
 
 class SparseRun(NamedTuple):
@@ -43,6 +44,8 @@ def densify_run(run: SparseRun, options: DensifyOptions, recorder: Recorder) -> 
     still the same.
     """
     require_place(options.outputs, run.scene.georeference)
+    if options.outputs.for_surveys:
+        require_surface(run.scene.interfaces)
     files = RunFolder(run.folder)
     with files.recording_dense():
         truth = load_truth(photographs(run.scene).folder)
@@ -90,7 +93,7 @@ def dense_stage(
     if outputs.for_surveys:
         files.metrics |= write_survey_products(dense.cloud, scene, outputs, folder, recorder)
     if outputs.depth_maps:
-        write_depth_maps(dense, scene, options, recorder, folder / DEPTH_MAPS)
+        write_depth_maps(dense, scene, options, wording_of(scene, files.metrics), recorder, folder / DEPTH_MAPS)
     files.stage_done(DENSE, dense, seconds)
     parts.clear()
     remove_if_empty(parts.folder.parent, home(folder))

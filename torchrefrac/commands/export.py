@@ -8,7 +8,7 @@ import torch
 
 from torchrefrac.commands.densify import open_run
 from torchrefrac.commands.results import MODEL, WATER, require_replaceable
-from torchrefrac.commands.survey_products import require_place, write_survey_products
+from torchrefrac.commands.survey_products import require_place, require_surface, write_survey_products
 from torchrefrac.config.clouds import ExportOptions
 from torchrefrac.files.cameras import CAMERAS, read_cameras
 from torchrefrac.files.colmap.model import STEMS, find_colmap, read_colmap, write_colmap
@@ -20,7 +20,8 @@ from torchrefrac.files.tracks import TRACKS, read_run
 from torchrefrac.files.viewpoints import viewpoints_of, write_angles, write_orientations
 from torchrefrac.files.water import read_water, write_water
 from torchrefrac.recorder import Recorder, SilentRecorder
-from torchrefrac.scene import Interfaces, Scene, SceneError
+from torchrefrac.scene import Georeference, Interfaces, Scene, SceneError
+from torchrefrac.scene.interfaces import WALL
 
 TABLES = {"opk": "cameras_opk.txt", "csv": "cameras.csv"}
 
@@ -54,7 +55,7 @@ def export_run(options: ExportOptions, recorder: Recorder | None = None) -> dict
                 sigma = None if along is None else along.clamp(min=0.0).sqrt()
                 write_orientations(viewpoints, folder / table, sigma)
         if place is not None:
-            scene = replace(scene, interfaces=Interfaces.of_plane(place.water, scene.index_ratio))
+            scene = replace(scene, interfaces=_on_map(scene, place))
         write_water(scene, folder / WATER)
         metrics = {
             "status": "complete",
@@ -72,6 +73,19 @@ def export_run(options: ExportOptions, recorder: Recorder | None = None) -> dict
     return metrics
 
 
+def _on_map(scene: Scene, place: Georeference) -> Interfaces:
+    """What a scene looks through, where its frame lies on the map; ports stay with their cameras."""
+    interfaces = scene.interfaces
+    if interfaces.move_with_camera:
+        return interfaces
+    if WALL not in interfaces.kinds:
+        return Interfaces.of_plane(place.water, scene.index_ratio)
+    stretched = interfaces.normal / interfaces.normal.new_tensor((place.scale, place.scale, 1.0))
+    length = stretched.norm(dim=-1)
+    offset = interfaces.offset + stretched @ stretched.new_tensor(place.origin)
+    return replace(interfaces, normal=stretched / length[:, None], offset=offset / length)
+
+
 def export_products(options: ExportOptions, recorder: Recorder) -> dict[str, Any]:
     """Write what a survey takes from the dense surface of a run, which stays in its file; returns what metrics.json
     there says. Raises OptionError, SceneError, CaptureError, DenseError or OutRefusedError."""
@@ -81,6 +95,7 @@ def export_products(options: ExportOptions, recorder: Recorder) -> dict[str, Any
     settle(run)
     needs_photographs = options.outputs.geotiff and options.outputs.orthophoto
     scene = open_run(run, options.capture).scene if needs_photographs else read_run(run)
+    require_surface(scene.interfaces)
     require_place(options.outputs, scene.georeference)
     folder.mkdir(parents=True, exist_ok=True)
     with alone(folder):

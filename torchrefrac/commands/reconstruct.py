@@ -14,7 +14,7 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.photographs import extract, match_all
 from torchrefrac.commands.run_folder import RunFolder
-from torchrefrac.commands.survey_products import require_place
+from torchrefrac.commands.survey_products import require_place, require_surface
 from torchrefrac.config import Options, WaterOptions
 from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.evaluate.doubts import doubts
@@ -144,8 +144,8 @@ def _prepared(capture: Capture, survey: Survey) -> Capture:
     """The capture with what was measured on site, in the frame of what it looks through."""
     if len(capture.interfaces) > 1:
         raise CaptureError(
-            f"{capture.folder / 'capture.json'} has {len(capture.interfaces)} interfaces, whose photographs known points "
-            "alone relate: find their poses by torchrefrac calibrate capture=DIR"
+            f"{capture.folder / 'capture.json'} has {len(capture.interfaces)} interfaces, whose photographs known "
+            "points alone relate: find their poses by torchrefrac calibrate capture=DIR"
         )
     capture = facing_wall(with_measured(capture, survey))
     check_levels(survey, capture)
@@ -168,6 +168,8 @@ def run(
     """
     survey = survey_of(capture, options)
     require_place(options.outputs, capture.georeference or survey.georeference)
+    if options.outputs.for_surveys:
+        require_surface(capture.interfaces)
     files, pictures = RunFolder(folder), StagePictures(capture, recorder)
     gravity = with_measured(capture, survey).gravity_metrics
 

@@ -26,7 +26,8 @@ from torchrefrac.files.systems import system_of
 from torchrefrac.geometry import Similarity
 from torchrefrac.numerics import thin
 from torchrefrac.recorder import Recorder
-from torchrefrac.scene import DenseCloud, Georeference, Raster, RasterGrid, Scene
+from torchrefrac.scene import DenseCloud, Georeference, Interfaces, Raster, RasterGrid, Scene
+from torchrefrac.scene.interfaces import SURFACE
 from torchrefrac.sfm.frame import moved
 
 UNPLACED = Georeference("", (0.0, 0.0, 0.0))
@@ -54,6 +55,17 @@ def require_place(outputs: DenseOutputs, place: Georeference | None) -> None:
         f"outputs.crs is {outputs.crs!r}, but the positions of the capture are in {place.name}; import the photographs "
         f"with crs={outputs.crs}"
     )
+
+
+def require_surface(interfaces: Interfaces) -> None:
+    """Raise OptionError where nothing is below a surface of water: depths, heights and orders of a survey mean nothing
+    there."""
+    through = next((kind for kind in interfaces.kinds if kind != SURFACE), None)
+    if through is not None:
+        raise OptionError(
+            f"products of a survey are maps of a bed below a surface of water, but these photographs look through a "
+            f"{through}; take dense.ply, mesh.ply and dsm.npz, which a dense stage writes without outputs=survey"
+        )
 
 
 def _same(crs: str, place: Georeference) -> bool:

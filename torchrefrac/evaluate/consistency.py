@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchrefrac.refraction.interface import GLASS
 from torchrefrac.scene import Capture, Finding, Scene, WarningCode
+from torchrefrac.scene.wording import Wording, kind_of, wording
 from torchrefrac.sfm.focal import GROSS
 from torchrefrac.sfm.gravity import contradicted_gravity, with_common_tilt
 from torchrefrac.sfm.heights import fit_heights
@@ -159,6 +160,7 @@ def _gravity(scene: Scene, stated: Capture) -> list[Finding]:
 def _heights(scene: Scene, stated: Capture) -> list[Finding]:
     measured = scene.views.registered & stated.has_height
     found, heights, unit = scene.views.center[measured, 2], stated.height[measured], scene.length_unit
+    words = _words(scene)
     if not bool(measured.any()):
         return []
     fit = fit_heights(found, heights, stated.height_sigma[measured])
@@ -174,8 +176,9 @@ def _heights(scene: Scene, stated: Capture) -> list[Finding]:
         return []
     if float(fit.offset) != 0.0:
         message = (
-            f"all heights are too {'large' if float(fit.offset) > 0.0 else 'small'} by {abs(float(fit.offset)):.3g} "
-            f"{unit}, as if they were not counted from the water; the scale was taken from their differences"
+            f"all {words.heights} are too {'large' if float(fit.offset) > 0.0 else 'small'} by "
+            f"{abs(float(fit.offset)):.3g} {unit}, as if they were not counted from {words.glass}; the scale was taken "
+            "from their differences"
         )
         return [Finding(WarningCode.HEIGHT_CONTRADICTS, message)]
     wrong = measured.clone()
@@ -187,7 +190,10 @@ def _heights(scene: Scene, stated: Capture) -> list[Finding]:
     shown = ", ".join(
         f"{name}: {there:.4g} {unit} stated, {here:.4g} {unit} found" for name, there, here in [*told][:3]
     )
-    message = f"the height of {listed(names)} does not fit those of the others ({shown}); it was not used for the scale"
+    height = "distance from the glass" if words.is_wall else "height"
+    message = (
+        f"the {height} of {listed(names)} does not fit those of the others ({shown}); it was not used for the scale"
+    )
     return [Finding(WarningCode.HEIGHT_CONTRADICTS, message, names)]
 
 
@@ -203,6 +209,12 @@ def _levels(scene: Scene) -> list[Finding]:
         f"taken than for the other {others} images, but one level was taken for all, so that cameras and points are "
         "wrong: state the epoch of each image, or reconstruct the two groups apart"
     )
+    if _words(scene).is_wall:
+        message = (
+            f"the glass stood {abs(higher):.3g} {unit} {'nearer' if higher > 0.0 else 'farther'} when {listed(names)} "
+            f"were taken than for the other {others} images, but one wall was taken for all, so that cameras and "
+            "points are wrong: reconstruct the two groups apart"
+        )
     return [Finding(WarningCode.WATER_LEVEL_CONTRADICTS, message, names)]
 
 
@@ -321,7 +333,8 @@ def _unmodelled(scene: Scene) -> list[Finding]:
     if ratio is not None:
         message = (
             f"the images show no refraction, but an index ratio of {ratio:.4g} is stated: what they show is land, or "
-            "lies on the water, and was reconstructed as seen straight"
+            f"lies {'before' if _words(scene).is_wall else 'on'} {_words(scene).glass}, and was reconstructed as seen "
+            "straight"
         )
         return [Finding(WarningCode.NO_REFRACTION_SEEN, message)]
     air, water = scene.assessment.in_air_and_water or (0.0, 0.0)
@@ -339,12 +352,13 @@ def _water(scene: Scene) -> list[Finding]:
     """What was given of the water."""
     wished, found = scene.assessment.wished, []
     step, sigma = wished.get("index_ratio", (0.0, 0.0))
-    in_water = (scene.points[:, 2] < 0.0) & ~scene.outside_water()
+    words, in_water = _words(scene), ~scene.above_water() & ~scene.outside_water()
     wet = float(in_water[scene.placed].double().mean()) if len(scene.points) else 1.0
     if wet < MOSTLY_DRY and sigma > VAGUE * (scene.index_ratio - 1.0):
         message = (
-            f"the images show no refraction: they place {100.0 * (1.0 - wet):.0f} % of the points above the water, and "
-            f"could not tell its index ratio, stated as {scene.index_ratio:.4g}, from another (+- {sigma:.2g})"
+            f"the images show no refraction: they place {100.0 * (1.0 - wet):.0f} % of the points {words.above} "
+            f"{words.glass}, and could not tell its index ratio, stated as {scene.index_ratio:.4g}, from another (+- "
+            f"{sigma:.2g})"
         )
         found.append(Finding(WarningCode.NO_REFRACTION_SEEN, message))
     elif abs(step) > max(SURE * sigma, NOTABLE_INDEX):
@@ -355,7 +369,7 @@ def _water(scene: Scene) -> list[Finding]:
         else:
             message = (
                 f"the images agree best with an index ratio near {seen:.3f} (+- {sigma:.2g}), but "
-                f"{scene.index_ratio:.4g} is stated; refine it, or check intrinsics and gravity"
+                f"{scene.index_ratio:.4g} is stated; refine it, or {words.check}"
             )
             found.append(Finding(WarningCode.INDEX_CONTRADICTS, message))
     return found
@@ -368,8 +382,9 @@ def _surface(scene: Scene) -> list[Finding]:
         return []
     what = "moving waves" if scene.assessment.surface_moves else "waves or a bend that stand still"
     message = (
-        f"errors of neighbouring points in the images go together as if the water were not flat: {what} with a slope "
-        f"of {math.degrees(slope):.2g} degrees (root mean square); the standard deviations take it into account"
+        f"errors of neighbouring points in the images go together as if {_words(scene).glass} were not flat: {what} "
+        f"with a slope of {math.degrees(slope):.2g} degrees (root mean square); the standard deviations take it into "
+        "account"
     )
     return [Finding(WarningCode.SURFACE_NOT_FLAT, message)]
 
@@ -380,10 +395,10 @@ def _outside_water(scene: Scene, stated: Capture) -> list[Finding]:
         count = int(scene.outside_water().sum())
         if count == 0:
             return []
+        level = "behind the plane of the glass" if _words(scene).is_wall else "below the water's level"
         message = (
-            f"{count} points, {100.0 * count / len(scene.points):.0f} % of all, lie below the water's level, but are "
-            "seen straight, without water before them, and were placed so; state where the water ends: water_extent in "
-            "capture.json"
+            f"{count} points, {100.0 * count / len(scene.points):.0f} % of all, lie {level}, but are seen straight, "
+            "without water before them, and were placed so; state where the water ends: water_extent in capture.json"
         )
         return [Finding(WarningCode.POINTS_OUTSIDE_WATER, message)]
     straight, through_water = scene.assessment.disputed
@@ -394,6 +409,10 @@ def _outside_water(scene: Scene, stated: Capture) -> list[Finding]:
         return []
     message = f"the images contradict water_extent: {' and '.join(found)}; these were placed as the images show"
     return [Finding(WarningCode.POINTS_OUTSIDE_WATER, message)]
+
+
+def _words(scene: Scene) -> Wording:
+    return wording(kind_of(scene))
 
 
 def named(names: tuple[str, ...], which: Bool[Tensor, " k"]) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """Figures about a scene, alone and against truth. Units are in the keys."""
 
+import math
 from typing import Any
 
 import torch
@@ -11,7 +12,10 @@ from torchrefrac.evaluate.true_surface import TrueSurface
 from torchrefrac.evaluate.water_levels import level_metrics
 from torchrefrac.geometry import Similarity, align_above_plane, align_similarity, rotate, so3_log, split_heading
 from torchrefrac.scene import Cameras, Scene, Truth
+from torchrefrac.scene.interfaces import PORT, SURFACE, WALL
 from torchrefrac.scene.tables import ONLY
+from torchrefrac.scene.wording import INTERFACE, kind_of, wording
+from torchrefrac.sfm.walls import gravity_in_world
 
 MIN_SIMILARITY_CAMERAS = 3
 
@@ -32,7 +36,10 @@ def summarize(scene: Scene) -> dict[str, Any]:
         "index_ratio": scene.index_ratio,
         "warnings": [finding.content for finding in scene.findings],
     }
-    metrics |= intrinsics_metrics(scene)
+    kind = kind_of(scene)
+    if kind != SURFACE:
+        metrics[INTERFACE] = kind
+    metrics |= intrinsics_metrics(scene) | interface_metrics(scene)
     if known.index_ratio_sigma is not None:
         metrics["index_ratio_sigma"] = known.index_ratio_sigma
     if known.pixel_sigma is not None:
@@ -41,11 +48,42 @@ def summarize(scene: Scene) -> dict[str, Any]:
         if sigma is not None and len(sigma):
             metrics[f"{name}_sigma_median_{scene.length_unit}"] = float(sigma.median())
     metrics |= against_positions(scene) | level_metrics(scene)
+    named = wording(kind).of_quantity
     if known.determined:
-        metrics["determined"] = list(known.determined)
+        metrics["determined"] = [named(sentence) for sentence in known.determined]
     if known.fixed:
-        metrics["held"] = dict(known.fixed)
+        metrics["held"] = {name: named(sentence) for name, sentence in known.fixed.items()}
     return metrics
+
+
+def interface_metrics(scene: Scene) -> dict[str, float]:
+    """What became of walls and ports; of several of them, the first.
+
+    With UNIT the scene's length unit: wall_upright_off_deg, the angle of the wall from upright by the gravity of its
+    photographs, and wall_upright_sigma_deg, with what gravity is known to. Of what was refined of a port:
+    port_distance_UNIT and port_tilt_deg, from the optical axis, with standard deviations (port_distance_sigma_UNIT,
+    port_tilt_sigma_deg). Of one layer of glass glass_thickness_UNIT and glass_index, where they differ from what was
+    stated.
+    """
+    interfaces, known, unit = scene.interfaces, scene.assessment, scene.length_unit
+    found: dict[str, float] = {}
+    gravity = None if scene.capture is None else gravity_in_world(scene, scene.capture)
+    if gravity is not None and interfaces.kinds[0] == WALL:
+        along = float(gravity[0] @ interfaces.normal[0])
+        found["wall_upright_off_deg"] = math.degrees(math.asin(min(abs(along), 1.0)))
+        found["wall_upright_sigma_deg"] = math.degrees(gravity[1])
+    if interfaces.kinds[0] == PORT:
+        if known.water_level_sigma is not None:
+            found[f"port_distance_{unit}"] = -float(interfaces.offset[0])
+            found[f"port_distance_sigma_{unit}"] = known.water_level_sigma
+        if known.tilt_sigma is not None:
+            found["port_tilt_deg"] = math.degrees(math.acos(min(1.0, -float(interfaces.normal[0, 2]))))
+            found["port_tilt_sigma_deg"] = math.degrees(known.tilt_sigma)
+    stated, one_layer = interfaces.stated, interfaces.layers.shape[-1] == 1
+    for name, key in (("thickness", f"glass_thickness_{unit}"), ("layers", "glass_index")):
+        if one_layer and stated is not None and float(getattr(interfaces, name)[0]) != float(getattr(stated, name)[0]):
+            found[key] = float(getattr(interfaces, name)[0])
+    return found
 
 
 def intrinsics_metrics(scene: Scene) -> dict[str, Any]:

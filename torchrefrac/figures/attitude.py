@@ -14,6 +14,8 @@ from torchrefrac.figures.plotting import ESTIMATE, MEASURED, TRUE, legend_above,
 from torchrefrac.figures.side_views import true_of
 from torchrefrac.geometry import split_heading
 from torchrefrac.scene import Capture, Scene, Truth
+from torchrefrac.sfm.frame import levelling
+from torchrefrac.sfm.walls import gravity_in_world
 
 
 @dataclass(frozen=True)
@@ -37,24 +39,29 @@ def attitudes(scene: Scene, capture: Capture | None, truth: Truth | None) -> tup
     """Numbers of the registered images, and their roll, pitch and heading.
 
     Roll and pitch say by how much the right and the lower side of the image dip below the horizontal, so both are 0 of
-    a camera that looks straight down. The reconstruction's heading is free: what is measured and true is turned by the
-    mean difference. Heading is left out where nothing says what it was.
+    a camera that looks straight down. Before a wall, where gravity is known, pitch is how much the optical axis dips.
+    The reconstruction's heading is free: what is measured and true is turned by the mean difference. Heading is left
+    out where nothing says what it was.
     """
     images = scene.views.registered.nonzero()[:, 0]
-    down, heading = split_heading(scene.views.rotation[images])
+    beside = capture is not None and capture.names == scene.views.names
+    gravity = gravity_in_world(scene, capture) if capture is not None and beside else None
+    z_up = torch.eye(3, dtype=torch.float64) if gravity is None else levelling(gravity[0]).mT
+    pitch = 1 if gravity is None else 2
+    down, heading = split_heading(scene.views.rotation[images] @ z_up)
     heading = heading[:1] + torch.cat((heading.new_zeros(1), wrapped(heading.diff().rad2deg()).deg2rad())).cumsum(dim=0)
     sensed_down = sensed_heading = true_down = true_heading = None
-    if capture is not None and capture.names == scene.views.names:
+    if capture is not None and beside:
         unknown, headed = capture.down_sigma[images].isinf()[:, None], capture.has_heading[images]
         sensed_down = capture.down_in_cam[images].where(~unknown, torch.nan) if capture.has_gravity else None
         sensed_heading = capture.heading[images].rad2deg().where(headed, torch.nan) if bool(headed.any()) else None
     if truth is not None:
         names = [scene.views.names[i] for i in images.tolist()]
-        true_down, turn = split_heading(true_of(truth.rotation, truth, names))
+        true_down, turn = split_heading(true_of(truth.rotation, truth, names) @ z_up)
         true_heading = turn.rad2deg()
     angles = [
         Angle(name, _dip(down, axis), *(None if d is None else _dip(d, axis) for d in (sensed_down, true_down)))
-        for name, axis in (("roll", 0), ("pitch", 1))
+        for name, axis in (("roll", 0), ("pitch", pitch))
     ]
     if sensed_heading is not None or true_heading is not None:
         degrees = heading.rad2deg()

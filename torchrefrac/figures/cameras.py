@@ -8,24 +8,28 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.figures import plotting
-from torchrefrac.figures.panels import OUTLINE, TURN_DEG, from_side, oblique
+from torchrefrac.figures.panels import OUTLINE, TO_FRONT_DEG, TURN_DEG, from_side, oblique
 from torchrefrac.figures.plotting import SECOND, WIDTH, blank_figure, height_colors, legend_above, legend_key
 from torchrefrac.figures.side_views import INK, WATER, outlines
 from torchrefrac.scene import Scene, Truth
+from torchrefrac.scene.wording import Wording
 
 SLIM, TALL = 0.35, 1.15  # a panel, its height over its width
 TAILS = (0.01, 0.99)
 
 
-def cameras_figure(shown: Scene, truth: Truth | None) -> Any:
-    """Cloud and cameras from above and obliquely, one panel each, the cameras as the pyramids of what they see.
+def cameras_figure(shown: Scene, truth: Truth | None, words: Wording) -> Any:
+    """Cloud and cameras along z and obliquely, one panel each, the cameras as the pyramids of what they see.
 
     A line joins the cameras in the order of the images; crosses are the true centres, where `truth` has them.
     """
     unit, height = shown.length_unit, shown.points[:, 2]
     low, high = (float(height.quantile(tail)) for tail in TAILS) if len(height) else (0.0, 1.0)
     colored = plotting.color_scale(low, max(high, low + 1e-9), height_colors())
-    frames = (torch.eye(3, dtype=torch.float64), oblique(from_side(None), -TURN_DEG))
+    frames = (
+        torch.eye(3, dtype=torch.float64),
+        oblique(from_side(None, words), TO_FRONT_DEG if words.is_wall else -TURN_DEG),
+    )
     limits = [_limits(shown, truth, frame) for frame in frames]
     widths = [x[1] - x[0] for x, _ in limits]
     tall = max((y[1] - y[0]) / (x[1] - x[0]) for x, y in limits)
@@ -35,12 +39,12 @@ def cameras_figure(shown: Scene, truth: Truth | None) -> Any:
         _draw(panel, shown, truth, frame, colored)
         panel.set(xlim=x, ylim=y, aspect="equal")
         panel.tick_params(labelsize=8)
-    views[0].set_title("from above", fontsize=11)
-    views[0].set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
+    views[0].set_title(words.along_z, fontsize=11)
+    views[0].set(xlabel=f"x ({unit})", ylabel=f"{words.y} ({unit})")
     views[1].set_title("obliquely", fontsize=11)
     views[1].set(xticks=[], yticks=[])
     views[1].spines[:].set_visible(False)
-    plotting.color_bar(figure, colored, list(views), f"height ({unit})")
+    plotting.color_bar(figure, colored, list(views), f"{words.z} ({unit})")
     handles = [legend_key(color=INK, lw=1.2, label="cameras"), legend_key(color=WATER, lw=1.0, label="path")]
     if truth is not None:
         handles.append(legend_key(marker="+", ls="", color=SECOND, label="true camera centres"))

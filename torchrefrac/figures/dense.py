@@ -14,11 +14,22 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from torchrefrac.evaluate.dense_metrics import INLIER_SIGMAS, MAD_TO_SIGMA, signed_plane_distance
-from torchrefrac.figures.panels import EMPTY, Column, Row, draw_grid, from_side, oblique, rounded_up
+from torchrefrac.figures.panels import (
+    EMPTY,
+    TO_FRONT_DEG,
+    TURN_DEG,
+    Column,
+    Row,
+    draw_grid,
+    from_side,
+    oblique,
+    rounded_up,
+)
 from torchrefrac.figures.plotting import blank_figure, color_bar, save
 from torchrefrac.figures.side_views import PANEL_INCHES, TITLES, SideView, outlines, side_view
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import DenseCloud, DepthMap, Scene, Truth
+from torchrefrac.scene.wording import OF_WATER, Wording
 
 MOST = 150_000
 HEIGHT_COLORS, DEPTH_COLORS, ERROR_COLORS = "jet_r", "viridis_r", "RdYlBu"
@@ -39,18 +50,28 @@ def draw_dense_views(views: Sequence[SideView], truth: Truth | None, path: Path)
     Seen obliquely from above, and underneath from the side, with cameras and water, as `draw_side_views` does. The true
     planes are drawn as lines. One scale for all panels.
     """
-    unit, side = views[0].length_unit, from_side(truth)
-    columns = [Column(v.title, v.caption, v.points, v.points[:, 2], unit, v.centers, v.has_water) for v in views]
+    unit, words = views[0].length_unit, views[0].words
+    side = from_side(truth, words)
+    columns = [
+        Column(v.title, v.caption, v.points, v.points[:, 2], unit, v.centers, v.has_water, v.words) for v in views
+    ]
     rows = (
-        Row(oblique(side), None, False, "white"),
-        Row(side, (f"horizontal ({unit})", f"height ({unit})"), True, "white"),
+        Row(oblique(side, TO_FRONT_DEG if words.is_wall else TURN_DEG), None, False, "white"),
+        Row(side, (f"{words.across} ({unit})", f"{words.up} ({unit})"), True, "white"),
     )
     true_heights = outlines(truth)[..., 2].flatten()
     low, high = _ends(true_heights, 1.0) if len(true_heights) else _ends(torch.cat([c.values for c in columns]), 0.98)
-    draw_grid(columns, rows, truth, (HEIGHT_COLORS, low, high, f"height ({unit})"), path)
+    draw_grid(columns, rows, truth, (HEIGHT_COLORS, low, high, f"{words.z} ({unit})"), path)
 
 
-def error_panel(model: str, cloud: DenseCloud, aligned: Similarity, truth: Truth, metrics: Mapping[str, Any]) -> Column:
+def error_panel(
+    model: str,
+    cloud: DenseCloud,
+    aligned: Similarity,
+    truth: Truth,
+    metrics: Mapping[str, Any],
+    words: Wording = OF_WATER,
+) -> Column:
     """The panel of a dense cloud for `draw_error_map`: points in the truth's frame, with their signed distances to the
     true planes; how accurate it is, from the metrics of `evaluate_dense`, stands underneath.
 
@@ -58,29 +79,30 @@ def error_panel(model: str, cloud: DenseCloud, aligned: Similarity, truth: Truth
     """
     unit, points = truth.length_unit, aligned.apply(_thinned(cloud.points))
     error, _ = signed_plane_distance(points, truth)
-    return Column(TITLES.get(model, model), _caption(len(cloud), metrics, unit), points, error, unit)
+    return Column(TITLES.get(model, model), _caption(len(cloud), metrics, unit), points, error, unit, words=words)
 
 
 def draw_error_map(panels: Sequence[Column], truth: Truth, path: Path, limit: float | None = None) -> None:
     """Reconstructions side by side, coloured by signed distance to the nearest true plane: red below, blue above.
 
-    Seen from above (x right, y up), and underneath from the side, as `draw_side_views` does. All panels share one scale
+    Seen along z (x right, y up), and underneath from the side, as `draw_side_views` does. All panels share one scale
     from -limit to limit; without `limit` it is three robust standard deviations of the panel with the smallest errors,
     rounded up to 1, 2 or 5 times a power of ten, so that what the best of them leaves can be seen.
     """
-    unit = truth.length_unit
+    unit, words = truth.length_unit, panels[0].words
     if limit is None:
         spreads = [MAD_TO_SIGMA * float(panel.values.abs().median()) for panel in panels if len(panel.values)]
         limit = rounded_up(INLIER_SIGMAS * min(spreads, default=0.0))
     rows = (
-        Row(torch.eye(3, dtype=torch.float64), (f"x ({unit})", f"y ({unit})"), False, EMPTY),
-        Row(from_side(truth), (f"horizontal ({unit})", f"height ({unit})"), False, EMPTY),
+        Row(torch.eye(3, dtype=torch.float64), (f"x ({unit})", f"{words.y} ({unit})"), False, EMPTY),
+        Row(from_side(truth, words), (f"{words.across} ({unit})", f"{words.up} ({unit})"), False, EMPTY),
     )
-    draw_grid(panels, rows, truth, (ERROR_COLORS, -limit, limit, f"above the true plane ({unit})"), path)
+    draw_grid(panels, rows, truth, (ERROR_COLORS, -limit, limit, f"{words.above} the true plane ({unit})"), path)
 
 
-def draw_depth_map(depth_map: DepthMap, path: Path) -> None:
-    """What one image sees: the depth along its optical axis, and the height above the water. Grey where nothing is."""
+def draw_depth_map(depth_map: DepthMap, path: Path, words: Wording = OF_WATER) -> None:
+    """What one image sees: the depth along its optical axis, and the height above the water, or what z is else. Grey
+    where nothing is."""
     from matplotlib import colormaps  # noqa: PLC0415 - slow to import
 
     valid, unit = depth_map.valid, depth_map.length_unit
@@ -88,7 +110,7 @@ def draw_depth_map(depth_map: DepthMap, path: Path) -> None:
     figure = blank_figure(2.0 * PANEL_INCHES + 2.6, 1.1 + PANEL_INCHES * height / width)
     pictures = (
         ("depth", f"depth along the optical axis ({unit})", depth_map.depth, DEPTH_COLORS),
-        ("height", f"height above the water ({unit})", depth_map.points[..., 2], HEIGHT_COLORS),
+        (words.z, f"{words.height} ({unit})", depth_map.points[..., 2], HEIGHT_COLORS),
     )
     for panel, (title, label, values, colors) in zip(figure.subplots(1, 2), pictures, strict=True):
         low, high = _ends(values[valid], 0.98)

@@ -10,12 +10,22 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.figures.plotting import blank_figure, color_bar, color_scale, legend_above, legend_key, save
-from torchrefrac.figures.side_views import INK, PANEL_INCHES, WATER, camera_keys, outlines, side_direction
+from torchrefrac.figures.side_views import (
+    INK,
+    PANEL_INCHES,
+    camera_keys,
+    draw_first_surface,
+    outlines,
+    side_direction,
+)
+from torchrefrac.scene.interfaces import SURFACE
 from torchrefrac.scene.truth import Truth
+from torchrefrac.scene.wording import OF_WATER, Wording
 
 EMPTY, OUTLINE = "#d4d4d4", "#8c8c8c"
 GOLDEN = 0.6180339887498949  # its multiples fill the interval from 0 to 1 evenly, modulo 1
 TURN_DEG, RISE_DEG = 30.0, 28.0  # from where an oblique view looks: turned from the side, and raised
+TO_FRONT_DEG = -55.0  # turned to where the cameras stand before a wall
 SLIMMEST = 0.2  # a panel, its shorter side over its longer one
 
 
@@ -29,13 +39,19 @@ class Column(NamedTuple):
     length_unit: str
     centers: Float[Tensor, "m 3"] = torch.zeros(0, 3, dtype=torch.float64)
     has_water: bool = False
+    words: Wording = OF_WATER
+
+    @property
+    def surface(self) -> str:
+        """What the plane z = 0 is, where it is drawn."""
+        return self.words.surface if self.has_water else ""
 
 
 class Row(NamedTuple):
     """How one row of a figure looks at the scene.
 
     frame: rows right, up and towards the viewer; labels: of the axes, without them a bar shows the scale;
-    has_cameras: whether cameras and water are drawn; paper: colour behind the points.
+    has_cameras: whether cameras and the first surface are drawn; paper: colour behind the points.
     """
 
     frame: Float[Tensor, "3 3"]
@@ -78,11 +94,13 @@ def draw_grid(
         top.set_title(column.title, fontsize=13)
         bottom.set_xlabel(f"{bottom.get_xlabel()}\n{column.caption}")
     color_bar(figure, colored, list(grid.flat), label)
-    handles = camera_keys(any(column.has_water for column in columns)) if any(row.has_cameras for row in rows) else []
+    surface = next((column.surface for column in columns if column.surface), "")
+    handles = camera_keys(surface) if any(row.has_cameras for row in rows) else []
     if len(outlines(truth)):
         handles.append(legend_key(color=OUTLINE, lw=1.5, label="true planes"))
     legend_above(figure, handles)
-    save(figure, path)
+    of_water = columns[0].words.kind == SURFACE
+    save(figure, path, **({} if of_water else {"bbox_inches": "tight", "pad_inches": 0.1}))
 
 
 def _draw_points(panel: Any, column: Column, row: Row, colored: Any, blur: float) -> None:
@@ -100,15 +118,15 @@ def _draw_points(panel: Any, column: Column, row: Row, colored: Any, blur: float
 
 
 def _draw_surroundings(panel: Any, column: Column, row: Row, truth: Truth | None) -> None:
-    """The outlines of the true planes, and the cameras and the water where the row has them."""
+    """The outlines of the true planes, and the cameras and the first surface where the row has them."""
     for corners in outlines(truth):
         right, up, _ = (corners @ row.frame.mT).unbind(dim=-1)
         panel.plot(right.numpy(), up.numpy(), "-", color=OUTLINE, lw=1.5, zorder=1)
     if row.has_cameras:
         right, up, _ = (column.centers @ row.frame.mT).unbind(dim=-1)
         panel.plot(right.numpy(), up.numpy(), "^", ms=5, mfc="none", mec=INK, zorder=4)
-        if column.has_water:
-            panel.axhline(0.0, color=WATER, lw=1.2, zorder=2)
+        if column.surface:
+            draw_first_surface(panel, column.words)
 
 
 def _scale_bar(panel: Any, x: Sequence[float], y: Sequence[float], unit: str) -> None:
@@ -129,7 +147,9 @@ def _limits(columns: Sequence[Column], row: Row, truth: Truth | None) -> list[li
         if len(points):
             shown.append(points.quantile(torch.tensor((0.001, 0.999), dtype=points.dtype), dim=0))
         if row.has_cameras:
-            shown += [column.centers @ row.frame.mT, torch.zeros(1, 3, dtype=torch.float64)]
+            shown.append(column.centers @ row.frame.mT)
+            if column.words.surface:
+                shown.append(torch.zeros(1, 3, dtype=torch.float64))
     every = torch.cat(shown)[:, :2]
     every = every if len(every) else torch.zeros(1, 2, dtype=torch.float64)
     low, high = every.amin(dim=0), every.amax(dim=0)
@@ -148,8 +168,11 @@ def oblique(side: Float[Tensor, "3 3"], turn_deg: float = TURN_DEG) -> Float[Ten
     )
 
 
-def from_side(truth: Truth | None) -> Float[Tensor, "3 3"]:
-    """Frame that looks along the horizontal direction in which the true planes are thinnest."""
+def from_side(truth: Truth | None, words: Wording = OF_WATER) -> Float[Tensor, "3 3"]:
+    """Frame that looks along the horizontal direction in which the true planes are thinnest; along a wall, z to the
+    right and y upwards."""
+    if words.is_wall:
+        return torch.tensor(((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)), dtype=torch.float64)
     x, y = side_direction(truth).tolist()
     return torch.tensor(((x, y, 0.0), (0.0, 0.0, 1.0), (y, -x, 0.0)), dtype=torch.float64)
 

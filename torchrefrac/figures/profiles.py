@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchrefrac.figures.plotting import ESTIMATE, PALE, TEXT, UNKNOWN, blank_figure, plain_axes, rounded, save
 from torchrefrac.scene.raster import Raster
+from torchrefrac.scene.wording import OF_WATER, Wording
 
 PLACES = (0.25, 0.5, 0.75)  # of the way along the surface, where it is cut across
 BAND = 2.0  # standard deviations on either side
@@ -66,7 +67,7 @@ def _profile(name: str, raster: Raster, start: Float[Tensor, " 2"], end: Float[T
     return Profile(name, first, last, share * length, height, sigma)
 
 
-def draw_profiles(raster: Raster, path: Path) -> bool:
+def draw_profiles(raster: Raster, path: Path, words: Wording = OF_WATER) -> bool:
     """Draw where the surface is cut, and the sections below each other with one scale; whether there are any."""
     every = profiles(raster)
     if not every:
@@ -74,30 +75,36 @@ def draw_profiles(raster: Raster, path: Path) -> bool:
     unit = raster.length_unit
     figure = blank_figure(*INCHES)
     grid = figure.add_gridspec(len(every), 2, width_ratios=(PLAN_INCHES, INCHES[0] - PLAN_INCHES))
-    _draw_plan(figure.add_subplot(grid[:, 0]), raster, every)
+    _draw_plan(figure.add_subplot(grid[:, 0]), raster, every, words)
     longest = max(float(profile.distance[-1]) for profile in every)
     heights = torch.cat([profile.height for profile in every])
     heights = heights[heights.isfinite()]
-    low, high = min(float(heights.min()), 0.0), max(float(heights.max()), 0.0)
+    low, high = float(heights.min()), float(heights.max())
+    if words.surface:
+        low, high = min(low, 0.0), max(high, 0.0)
     margin = 0.08 * max(high - low, 1e-9)
     for i, profile in enumerate(every):
         panel = figure.add_subplot(grid[i, 1])
         plain_axes(panel)
         distance, height, sigma = (values.cpu().numpy() for values in (profile.distance, profile.height, profile.sigma))
-        panel.axhline(0.0, color=WATER, lw=1.0)
+        if words.surface:
+            panel.axhline(0.0, color=WATER, lw=1.0)
         panel.fill_between(distance, height - BAND * sigma, height + BAND * sigma, color=PALE, lw=0.0)
         panel.plot(distance, height, color=ESTIMATE, lw=1.2)
-        panel.set(xlim=(0.0, longest), ylim=(low - margin, high + margin), ylabel=f"height ({unit})")
+        panel.set(xlim=(0.0, longest), ylim=(low - margin, high + margin), ylabel=f"{words.z} ({unit})")
+        if words.is_wall:
+            panel.yaxis.label.set_size(8)
         panel.set_title(f"{profile.name} to {profile.name}'", loc="left", fontsize=9, color=TEXT, pad=3.0)
         if i == len(every) - 1:
             panel.set_xlabel(f"distance ({unit})")
         else:
             panel.tick_params(labelbottom=False)
     typical = raster.sigma[raster.valid].median()
-    words = rounded(float(typical)) if len(heights) else UNKNOWN
+    sigma = rounded(float(typical)) if len(heights) else UNKNOWN
+    line = f"; blue: {words.glass}" if words.surface else ""
     figure.suptitle(
-        f"Sections across the surface, heights {_exaggeration(longest, high - low + 2.0 * margin, len(every))} "
-        f"times exaggerated; pale: ± {BAND:g} standard deviations ({words} {unit} each, median); blue: the water",
+        f"Sections across the surface, {words.relief} {_exaggeration(longest, high - low + 2.0 * margin, len(every))} "
+        f"times exaggerated; pale: ± {BAND:g} standard deviations ({sigma} {unit} each, median){line}",
         fontsize=9, color=TEXT,
     )  # fmt: skip
     save(figure, path)
@@ -110,7 +117,7 @@ def _exaggeration(length: float, height: float, count: int) -> str:
     return rounded(up / height * length / across)
 
 
-def _draw_plan(panel: Any, raster: Raster, every: list[Profile]) -> None:
+def _draw_plan(panel: Any, raster: Raster, every: list[Profile], words: Wording) -> None:
     step = max(1, math.ceil(max(raster.height.shape) / MOST_PIXELS))
     depth, valid = raster.depth[::step, ::step].cpu(), raster.valid[::step, ::step].cpu()
     shown = depth.where(valid, torch.nan).numpy()
@@ -128,6 +135,6 @@ def _draw_plan(panel: Any, raster: Raster, every: list[Profile]) -> None:
                 bbox={"boxstyle": "circle,pad=0.15", "fc": "white", "ec": TEXT, "lw": 0.6},
             )  # fmt: skip
     unit = raster.length_unit
-    panel.set_title("depth: dark is deep, white has no surface", fontsize=9, color=TEXT, pad=8.0)
-    panel.set(aspect="equal", xlabel=f"x ({unit})", ylabel=f"y ({unit})")
+    panel.set_title(f"{words.dark}, white has no surface", fontsize=9, color=TEXT, pad=8.0)
+    panel.set(aspect="equal", xlabel=f"x ({unit})", ylabel=f"{words.y} ({unit})")
     panel.tick_params(labelsize=8, colors=TEXT)

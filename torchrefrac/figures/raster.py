@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,20 +12,24 @@ from torch import Tensor
 from torchrefrac.dense.relief import relief
 from torchrefrac.figures.plotting import blank_figure, color_scale, save
 from torchrefrac.figures.side_views import INK
+from torchrefrac.scene.interfaces import SURFACE
 from torchrefrac.scene.raster import Raster
+from torchrefrac.scene.wording import OF_WATER, Wording
 
 EMPTY = "#e3e1dc"
 LONG_SIDE_INCHES, BAR_INCHES, MOST_PIXELS, WIDE = 7.0, 0.18, 1600, 3.0
 TAILS = (0.005, 0.995)
 
 
-def draw_raster(raster: Raster, path: Path) -> None:
+def draw_raster(raster: Raster, path: Path, words: Wording = OF_WATER) -> None:
     """Draw the depth of a raster as a shaded map: north up, x and y of the world frame, light from the north-west.
 
     The colours span all depths but the half per cent at either end; cells without a surface are grey, and a white line
-    is the shore. A raster of many cells is drawn with every k-th of them.
+    is the shore, where there is water. Where z = 0 is nothing the map shows z, its colours dark for the lowest. A
+    raster of many cells is drawn with every k-th of them.
     """
     from matplotlib.colors import to_rgb  # noqa: PLC0415 - slow to import
+    from matplotlib.ticker import FuncFormatter  # noqa: PLC0415
 
     unit, (rows, columns) = raster.length_unit, raster.height.shape
     step = max(1, math.ceil(max(rows, columns) / MOST_PIXELS))
@@ -42,20 +47,24 @@ def draw_raster(raster: Raster, path: Path) -> None:
         picture = lit.where(valid[..., None], torch.tensor(to_rgb(EMPTY), dtype=torch.float64))
         right, bottom = raster.x_west + depth.shape[1] * step * size, raster.y_north - depth.shape[0] * step * size
         panel.imshow(picture.numpy(), extent=(raster.x_west, right, bottom, raster.y_north), interpolation="nearest")
-    if low < 0.0 < high and min(depth.shape) > 1:
+    if words.kind == SURFACE and low < 0.0 < high and min(depth.shape) > 1:
         x, y, hidden = raster.x[::step].cpu().numpy(), raster.y[::step].cpu().numpy(), ~valid.numpy()
         panel.contour(x, y, np.ma.masked_array(depth.numpy(), hidden), [0.0], colors="white", linewidths=0.9)
     panel.set(xlim=(raster.x_west, raster.x_west + width), ylim=(raster.y_north - height, raster.y_north))
-    panel.set(facecolor=EMPTY, aspect="equal", xlabel=f"x ({unit})", ylabel=f"y ({unit})")
+    panel.set(facecolor=EMPTY, aspect="equal", xlabel=f"x ({unit})", ylabel=f"{words.y} ({unit})")
     panel.tick_params(labelsize=8, color=INK)
     share = float(raster.valid.double().mean()) if raster.valid.numel() else 0.0
-    panel.set_title(f"Depth below the water surface\n{size:g} {unit} cells, {share:.0%} with a surface", fontsize=10)
+    title = words.depth or f"The surface, coloured by {words.z}"
+    panel.set_title(f"{title}\n{size:g} {unit} cells, {share:.0%} with a surface", fontsize=10)
+    about: dict[str, Any] = {"extend": extend, "label": f"{'depth' if words.depth else words.z} ({unit})"}
+    if not words.depth:
+        about["format"] = FuncFormatter(lambda value, _: f"{-value:g}")
     if width > WIDE * height:
         beside = figure.add_axes((0.0, -0.85 / up, 1.0, BAR_INCHES / up))
-        bar = figure.colorbar(colors, cax=beside, extend=extend, label=f"depth ({unit})", orientation="horizontal")
+        bar = figure.colorbar(colors, cax=beside, orientation="horizontal", **about)
     else:
         beside = figure.add_axes((1.0 + 0.12 / across, 0.0, BAR_INCHES / across, 1.0))
-        bar = figure.colorbar(colors, cax=beside, extend=extend, label=f"depth ({unit})")
+        bar = figure.colorbar(colors, cax=beside, **about)
         bar.ax.invert_yaxis()
     bar.ax.tick_params(labelsize=8)
     save(figure, path, bbox_inches="tight", pad_inches=0.1)

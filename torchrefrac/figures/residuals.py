@@ -65,8 +65,9 @@ def by_image_figure(residuals: Residuals, registered: Bool[Tensor, " m"]) -> Any
     return figure
 
 
-def by_incidence_figure(residuals: Residuals, has_water: bool) -> Any:
-    """Median and 90 % bound of the reprojection error over the angle of incidence, and the number of observations."""
+def by_incidence_figure(residuals: Residuals, what: str) -> Any:
+    """Median and 90 % bound of the reprojection error over the angle of incidence, which is called `what`, and the
+    number of observations."""
     step, start, rows = bins(residuals.incidence)
     figure, ((errors,), (counts,)) = panels(2, 1, 4.0, sharex=True, height_ratios=(3.0, 1.0))
     middle, parts = [start + (k + 0.5) * step for k in rows], [residuals.error[chosen] for chosen in rows.values()]
@@ -75,7 +76,6 @@ def by_incidence_figure(residuals: Residuals, has_water: bool) -> Any:
     errors.set_ylabel("reprojection error (px)")
     errors.set_ylim(bottom=0.0)
     counts.bar(middle, [len(error) for error in parts], width=0.9 * step, color=PALE)
-    what = "angle of incidence on the water" if has_water else "angle from the vertical"
     counts.set(xlabel=f"{what} (°)", ylabel="observations")
     median = legend_key(marker="o", color=ESTIMATE, label="median")
     legend_above(figure, [median, legend_key(ls="--", color=SECOND, label="90 % are below")])

@@ -1,4 +1,4 @@
-"""By how many pixels the water moves what an image sees."""
+"""By how many pixels refraction moves what an image sees."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrefrac.figures.panels import EMPTY
 from torchrefrac.figures.plotting import WIDTH, blank_figure, color_bar, color_scale
 from torchrefrac.files.photographs import read_grey
+from torchrefrac.geometry import Plane
 from torchrefrac.scene import CaptureError, Scene
 
 CELLS, ARROWS = 96, 9  # across the image
@@ -29,7 +30,7 @@ def shift_images(scene: Scene) -> list[int]:
 
 
 def off_nadir(scene: Scene) -> Float[Tensor, " m"]:
-    """Angle in degrees between the optical axes and the vertical."""
+    """Angle in degrees between the optical axes and -z."""
     return (-scene.views.rotation[:, 2, 2]).clamp(-1.0, 1.0).acos().rad2deg()
 
 
@@ -40,18 +41,29 @@ def typical_depth(scene: Scene) -> float:
     return float(below.median()) if len(below) else 0.0
 
 
+def typical_range(scene: Scene) -> float:
+    """Median distance of observed points beyond the ports that they are seen through; 0 where none is."""
+    seen = scene.observations[scene.accepted]
+    if not len(seen):
+        return 0.0
+    away = -scene.cameras_of(seen).plane_in_world().signed_distance(scene.points[seen.point])
+    return max(float(away.median()), 0.0)
+
+
 def shift_map(
     scene: Scene, image: int, depth: float
 ) -> tuple[Float[Tensor, "h w 2"], Float[Tensor, "h w 2"], Bool[Tensor, "h w"]]:
-    """Pixels over an image, the shifts of what they see at `depth`, and whether there are any."""
+    """Pixels over an image, the shifts of what they see at `depth` beyond the first surface, and whether there are
+    any."""
     camera = scene.camera_of(image)
     intrinsics = camera.intrinsics
     columns = min(CELLS, intrinsics.width)
     rows = max(2, round(columns * intrinsics.height / intrinsics.width))
     pixels = intrinsics.pixel_grid(rows, columns).to(torch.float64)
     origins, directions, met = camera.cast_rays(pixels)
-    fall = torch.where(met, directions[..., 2], -1.0)
-    points = origins + directions * ((-depth - origins[..., 2]) / fall)[..., None]
+    plane = Plane() if scene.interfaces.are_horizontal else camera.plane_in_world()
+    fall = torch.where(met, (directions * plane.normal_like(directions)).sum(dim=-1), -1.0)
+    points = origins + directions * ((-depth - plane.signed_distance(origins)) / fall)[..., None]
     shift, valid = camera.refraction_shift(points)
     return pixels, shift, valid & met & (fall < 0.0)
 

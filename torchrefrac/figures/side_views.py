@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrefrac.figures.plotting import blank_figure, color_scale, legend_above, legend_key, save
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Scene, Truth
+from torchrefrac.scene.wording import OF_WATER, Wording, wording_of
 
 TITLES = {"none": "No refraction", "radial": "Radial distortion", "refractive": "Refraction"}
 MODEL_COLORS = {"none": "#d55e00", "radial": "#009e73", "refractive": "#0072b2"}  # different for the colour-blind too
@@ -29,6 +30,12 @@ class SideView:
     centers: Float[Tensor, "m 3"]
     length_unit: str
     has_water: bool
+    words: Wording = OF_WATER
+
+    @property
+    def surface(self) -> str:
+        """What the line at z = 0 is; empty where there is none."""
+        return self.words.surface if self.has_water else ""
 
 
 def side_view(model: str, scene: Scene, aligned: Similarity | None, metrics: Mapping[str, Any]) -> SideView:
@@ -40,7 +47,8 @@ def side_view(model: str, scene: Scene, aligned: Similarity | None, metrics: Map
     error = metrics.get(f"camera_rms_{unit}")
     caption = f"{len(points)} points" + (f", camera error {error:.3g} {unit} RMS" if error is not None else "")
     known_frame = aligned is not None or scene.interfaces.stand_in_world
-    return SideView(TITLES.get(model, model), caption, points, centers, unit, known_frame)
+    words = wording_of(scene, metrics, aligned is not None)
+    return SideView(TITLES.get(model, model), caption, points, centers, unit, known_frame, words)
 
 
 def draw_side_views(views: Sequence[SideView], truth: Truth | None, path: Path) -> None:
@@ -55,11 +63,12 @@ def side_views_figure(
 
     Red is the lowest point, blue the highest (or by another colour map `colors`), on one scale for all panels, which
     are about `panel_inches` wide; the true planes are drawn as lines. The direction of sight is the horizontal one
-    along which the true planes look thinnest (without truth: along y).
+    along which the true planes look thinnest (without truth: along y). What is seen through a wall has z, before the
+    glass, from left to right, and y upwards.
     """
-    across = side_direction(truth)
+    words, side = views[0].words, side_direction(truth)
     low, high = _height_range(views, truth)
-    limits = _limits(views, truth, across)
+    limits = _limits(views, truth, side)
     width, height = (end - start for start, end in limits)
     lines = 0.2 * max(view.caption.count("\n") for view in views)
     figure = blank_figure(1.6 + panel_inches * len(views), 1.35 + lines + panel_inches * height / width)
@@ -67,32 +76,44 @@ def side_views_figure(
     panels = figure.subplots(1, len(views), sharex=True, sharey=True, squeeze=False)[0]
     for panel, view in zip(panels, views, strict=True):
         for corners in outlines(truth):
-            panel.plot((corners[:, :2] @ across).numpy(), corners[:, 2].numpy(), "-", color=FAINT, lw=3.0, zorder=1)
+            panel.plot(*_seen(corners, words, side), "-", color=FAINT, lw=3.0, zorder=1)
         z = view.points[:, 2].numpy()
-        along = (view.points[:, :2] @ across).numpy()
-        panel.scatter(along, z, c=z, s=2.5, cmap=colored.cmap, norm=colored.norm, linewidths=0, zorder=3)
-        panel.plot((view.centers[:, :2] @ across).numpy(), view.centers[:, 2].numpy(), "^", ms=5, mfc="none", mec=INK)
-        if view.has_water:
-            panel.axhline(0.0, color=WATER, lw=1.2)
+        right, up = _seen(view.points, words, side)
+        panel.scatter(right, up, c=z, s=2.5, cmap=colored.cmap, norm=colored.norm, linewidths=0, zorder=3)
+        panel.plot(*_seen(view.centers, words, side), "^", ms=5, mfc="none", mec=INK)
+        if view.surface:
+            draw_first_surface(panel, words)
         panel.set(xlim=limits[0], ylim=limits[1], aspect="equal")
         panel.set_title(view.title, fontsize=13)
-        panel.set_xlabel(f"horizontal ({view.length_unit})\n{view.caption}")
+        panel.set_xlabel(f"{words.across} ({view.length_unit})\n{view.caption}")
         panel.tick_params(labelsize=8)
     unit = views[0].length_unit
-    panels[0].set_ylabel(f"height above the water ({unit})")
-    bar = figure.colorbar(colored, ax=list(panels), pad=0.01, aspect=30, label=f"height ({unit})")
+    panels[0].set_ylabel(f"{words.up if words.is_wall else words.height} ({unit})")
+    bar = figure.colorbar(colored, ax=list(panels), pad=0.01, aspect=30, label=f"{words.z} ({unit})")
     bar.ax.tick_params(labelsize=8)
-    handles = camera_keys(any(view.has_water for view in views))
+    handles = camera_keys(next((view.surface for view in views if view.surface), ""))
     if len(outlines(truth)):
         handles.append(legend_key(color=FAINT, lw=3, label="true planes"))
     legend_above(figure, handles)
     return figure
 
 
-def camera_keys(has_water: bool) -> list[Any]:
-    """What the marks of cameras and water mean."""
+def camera_keys(surface: str) -> list[Any]:
+    """What the marks of cameras mean, and of the first surface, by what it is called."""
     cameras = legend_key(marker="^", ls="", mfc="none", mec=INK, label="cameras")
-    return [cameras, legend_key(color=WATER, label="water surface")] if has_water else [cameras]
+    return [cameras, legend_key(color=WATER, label=surface)] if surface else [cameras]
+
+
+def draw_first_surface(panel: Any, words: Wording) -> None:
+    """The plane z = 0 in a view from the side."""
+    line = panel.axvline if words.is_wall else panel.axhline
+    line(0.0, color=WATER, lw=1.2, zorder=2)
+
+
+def _seen(points: Float[Tensor, "n 3"], words: Wording, side: Float[Tensor, " 2"]) -> tuple[Any, Any]:
+    """What of points runs to the right and upwards in a view from the side, as arrays."""
+    z = points[:, 2].numpy()
+    return (z, points[:, 1].numpy()) if words.is_wall else ((points[:, :2] @ side).numpy(), z)
 
 
 def side_direction(truth: Truth | None) -> Float[Tensor, " 2"]:
@@ -130,15 +151,16 @@ def true_of(values: Float[Tensor, "m *row"], truth: Truth, names: Sequence[str])
     return found
 
 
-def _limits(views: Sequence[SideView], truth: Truth | None, across: Float[Tensor, " 2"]) -> list[tuple[float, float]]:
+def _limits(views: Sequence[SideView], truth: Truth | None, side: Float[Tensor, " 2"]) -> list[tuple[float, float]]:
     """Horizontal and vertical range: cameras, true planes, and all but the most stray points of every panel."""
     shown = [outlines(truth).flatten(0, 1), *(view.centers for view in views)]
     for view in views:
         if len(view.points):
             shown.append(view.points.quantile(torch.tensor((0.01, 0.99), dtype=view.points.dtype), dim=0))
-    every = torch.cat((*shown, torch.zeros(1, 3, dtype=torch.float64)))
+    if views[0].words.surface or not any(map(len, shown)):
+        shown.append(torch.zeros(1, 3, dtype=torch.float64))
     limits = []
-    for values in (every[:, :2] @ across, every[:, 2]):
+    for values in _seen(torch.cat(shown), views[0].words, side):
         low, high = float(values.min()), float(values.max())
         margin = 0.06 * max(high - low, 1e-6)
         limits.append((low - margin, high + margin))

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrefrac.figures.plotting import ESTIMATE, SECOND, legend_above, legend_key, number_images, panels
 from torchrefrac.figures.side_views import true_of
 from torchrefrac.scene import Scene, Truth
+from torchrefrac.scene.wording import Wording
 
 SHARE = 0.1  # of the extent of the cameras that a typical ellipse takes
 STEPS = (1.0, 2.0, 5.0, 10.0)
@@ -33,9 +34,9 @@ def exaggeration(size: float, extent: float) -> float:
     return max(step * power for step in STEPS if step * power <= wanted * (1.0 + 1e-9))
 
 
-def uncertainty_figure(shown: Scene, truth: Truth | None) -> tuple[Any, float]:
-    """Ellipses of one standard deviation from above, and the standard deviation of the heights; and the factor by which
-    the ellipses are exaggerated. Arrows are the true errors, by the same factor, where `truth` is given."""
+def uncertainty_figure(shown: Scene, truth: Truth | None, words: Wording) -> tuple[Any, float]:
+    """Ellipses of one standard deviation along z, and the standard deviation of z; and the factor by which the ellipses
+    are exaggerated. Arrows are the true errors, by the same factor, where `truth` is given."""
     from matplotlib.patches import Ellipse, Patch  # noqa: PLC0415 - slow to import
 
     covariance = shown.assessment.center_covariance
@@ -65,11 +66,11 @@ def uncertainty_figure(shown: Scene, truth: Truth | None) -> tuple[Any, float]:
         )  # fmt: skip
         heights.plot(numbers, abs(errors[:, 2]), "D", color=SECOND, ms=5)
         handles.append(legend_key(marker="D", ls="", ms=5, color=SECOND, label="true error (arrows and diamonds)"))
-    above.set_title(f"from above, errors {factor:g} times as large", fontsize=11)
-    above.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
+    above.set_title(f"{words.along_z}, errors {factor:g} times as large", fontsize=11)
+    above.set(xlabel=f"x ({unit})", ylabel=f"{words.y} ({unit})")
     above.set_aspect("equal", adjustable="datalim")
     above.margins(0.12)
-    heights.set_title("height", fontsize=11)
+    heights.set_title(words.z, fontsize=11)
     heights.set_ylabel(f"standard deviation ({unit})")
     heights.grid(visible=False, axis="x")
     number_images(heights, len(shown.views.names))

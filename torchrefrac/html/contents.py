@@ -13,6 +13,7 @@ from torchrefrac.files.tracks import TRACKS, read_run
 from torchrefrac.files.truth import load_truth
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Capture, Scene, Truth
+from torchrefrac.scene.wording import OF_WATER, Wording, wording, wording_of
 from torchrefrac.sfm.frame import transformed
 
 T = TypeVar("T")
@@ -42,6 +43,28 @@ class RunContents:
         """The length unit; empty where nothing says it."""
         sources = (self.scene, self.truth, self.capture, self.record)
         return next(source.length_unit for source in sources if source is not None)
+
+    @property
+    def words(self) -> Wording:
+        """What is called how, by what was looked through; in the frame of the truth, where there is one."""
+        return self._wording(self.aligned is not None)
+
+    @property
+    def own_words(self) -> Wording:
+        """The same in the frame of the run, in which its maps are."""
+        return self._wording(upright=False)
+
+    def _wording(self, upright: bool) -> Wording:
+        if self.scene is not None:
+            scene = replace(self.scene, capture=self.capture)
+            return wording_of(scene, self.record.metrics, upright or self._knows_gravity)
+        if self.capture is not None:
+            return wording(self.capture.interfaces.kinds[0], self._knows_gravity)
+        return OF_WATER
+
+    @property
+    def _knows_gravity(self) -> bool:
+        return self.capture is not None and self.capture.has_gravity
 
     @property
     def shown(self) -> Scene | None:

@@ -8,28 +8,16 @@ from torchrefrac.figures.attitude import attitude_figure, attitude_words, attitu
 from torchrefrac.figures.cameras import cameras_figure
 from torchrefrac.figures.plotting import height_colors
 from torchrefrac.figures.residuals import Residuals, by_image_figure, by_incidence_figure
-from torchrefrac.figures.shift import shift_figure, shift_images, typical_depth
+from torchrefrac.figures.shift import shift_figure, shift_images, typical_depth, typical_range
 from torchrefrac.figures.side_views import SideView, side_view, side_views_figure
 from torchrefrac.figures.uncertainty import uncertainty_figure
 from torchrefrac.html.contents import RunContents
 from torchrefrac.html.page import Picture, picture, png, svg
-from torchrefrac.html.words import rounded
+from torchrefrac.html.words import capital, rounded
 from torchrefrac.scene import Scene, Truth
+from torchrefrac.scene.interfaces import SURFACE
+from torchrefrac.scene.wording import Wording
 
-DENSE_PICTURES = (
-    ("dense_view.png", "The dense surface", "The dense points obliquely and from the side, coloured by height.",
-     "A clean sheet without a haze of points above or below it; holes are where the photographs show no texture."),
-    ("error_map.png", "Distance of the dense points from the true planes",
-     "From above and from the side: red lies below the true plane, blue above it.",
-     "Pale everywhere is good. A colour that changes slowly over the scene is a bend; speckle is noise of matching."),
-    ("dsm.png", "Depth of the surface", "The dense points as a map seen from above, shaded as if lit from one side.",
-     "Steps and ripples that the scene does not have come from the reconstruction."),
-    ("profiles.png", "Sections across the surface",
-     "Height over distance along three lines across the direction in which the surface is longest, with the level of "
-     "the water and two standard deviations on either side.",
-     "The shore should lie where the line of the water meets the surface; a bend that the bed does not have comes from "
-     "a wrong index ratio or camera."),
-)  # fmt: skip
 DENSE_WIDTH = 1400
 PANELS_INCHES = 9.2  # of up to three panels of Figure 1
 
@@ -59,9 +47,10 @@ def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Draw
         truth = truth or run.truth
     if not views:
         return None
-    colors = "dark the deepest, light the highest, on one scale"
+    words = views[0].words
+    colors = f"{words.ends}, on one scale"
     several = f"{len(views)} reconstructions side by side" if len(views) > 1 else "The reconstruction"
-    caption = f"{several} from the side, coloured by height: {colors}."
+    caption = f"{several} from the side, coloured by {words.value}: {colors}."
     has_planes = truth is not None and len(truth.corner) > 0
     if truth is not None:
         caption += " Moved onto the true cameras as well as possible"
@@ -71,23 +60,23 @@ def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Draw
         picture=png(side_views_figure(views, truth, height_colors(), PANELS_INCHES / min(max(len(views), 2), 3))),
         alt=f"Side view of the points and cameras of {', '.join(view.title for view in views)}",
         caption=caption,
-        look="Points should lie on the grey lines. Without refraction in the model flat ground comes out bent like a "
+        look=f"Points should lie on the grey lines. Without refraction in the model {words.flat} comes out bent like a "
         "bowl, too shallow or too deep, and the cameras are off."
         if has_planes
-        else "Flat ground should be flat. Without refraction in the model it comes out bent like a bowl.",
+        else f"{capital(words.flat)} should be flat. Without refraction in the model it comes out bent like a bowl.",
         kind=f"wide panels{min(len(views), 4)}",
     )
 
 
-def draw_cameras(shown: Scene, truth: Truth | None) -> Drawn:
+def draw_cameras(shown: Scene, truth: Truth | None, words: Wording) -> Drawn:
     """Figure 5."""
     return Drawn(
         title="Figure 5. The path of the camera",
-        picture=png(cameras_figure(shown, truth)),
-        alt="Camera path and point cloud from above and obliquely",
+        picture=png(cameras_figure(shown, truth, words)),
+        alt=f"Camera path and point cloud {words.along_z} and obliquely",
         caption="Cameras as the pyramids of what they see, joined in the order of the photographs; the points are "
-        "coloured by height. The first and the last photograph are numbered.",
-        look="The path should be the one that was flown or walked, without jumps, and the pyramids should look at the "
+        f"coloured by {words.value}. The first and the last photograph are numbered.",
+        look=f"The path should be the one that was {words.taken}, without jumps, and the pyramids should look at the "
         "points." + (" Crosses that lie beside a tip show how far a camera is off." if truth is not None else ""),
     )
 
@@ -97,25 +86,25 @@ def draw_attitude(run: RunContents) -> Drawn | None:
     scene = run.shown
     if scene is None:
         return None
-    images, angles = attitudes(scene, run.capture, run.truth)
+    words, (images, angles) = run.words, attitudes(scene, run.capture, run.truth)
     if not len(images) or all(angle.measured is None and angle.true is None for angle in angles):
         return None
     return Drawn(
         title="Figure 6. Attitude of the cameras",
         picture=svg(attitude_figure(images, angles, len(scene.views.names))),
         alt="Estimated, measured and true roll, pitch and heading of each image",
-        caption="Roll and pitch: by how much the right and the lower side of the photograph dip below the horizontal "
-        f"(both 0 when looking straight down). {attitude_words(angles)}"
+        caption=f"Roll and pitch: {words.dips}. {attitude_words(angles)}"
         + (" Headings are compared after taking out their mean difference." if len(angles) > 2 else ""),
         look="Differences from the IMU should scatter about zero, as large as the IMU's own errors. A trend or an "
-        "offset in roll or pitch says that the water was not level in the IMU's eyes, or the wrong model.",
+        f"offset in roll or pitch says {words.tilted}, or the wrong model.",
     )
 
 
-def draw_residuals(residuals: Residuals, scene: Scene) -> list[Drawn]:
+def draw_residuals(residuals: Residuals, scene: Scene, words: Wording) -> list[Drawn]:
     """By image and by angle of incidence."""
-    water = scene.interfaces.stand_in_world
-    by_angle = "angle at which the ray met the water (0° is straight down)" if water else "angle from the vertical"
+    what = by_angle = "angle from the vertical" if words.kind == SURFACE else "angle from the z axis"
+    if scene.interfaces.refract():
+        what, by_angle = words.incidence, f"angle at which the ray met {words.glass} (0° is {words.straight})"
     return [
         Drawn(
             title="Residuals by photograph",
@@ -126,7 +115,7 @@ def draw_residuals(residuals: Residuals, scene: Scene) -> list[Drawn]:
         ),
         Drawn(
             title="Residuals by angle",
-            picture=svg(by_incidence_figure(residuals, water)),
+            picture=svg(by_incidence_figure(residuals, what)),
             alt="Reprojection error over the angle of incidence, with the number of observations",
             caption=f"The same over the {by_angle}, and how many observations there are at each.",
             look="A level line. An error that grows with the angle is the mark of refraction that the model does not "
@@ -136,36 +125,40 @@ def draw_residuals(residuals: Residuals, scene: Scene) -> list[Drawn]:
 
 
 def draw_shift(run: RunContents) -> Drawn | None:
-    """Refraction shift map; None where the model has no water or no point lies in it."""
-    scene = run.scene
-    if scene is None or not scene.interfaces.stand_in_world:
+    """Refraction shift map; None where the model has no refraction or no point lies in water."""
+    scene, words = run.scene, run.words
+    if scene is None or not scene.interfaces.refract():
         return None
-    depth = typical_depth(scene)
+    images, depth = shift_images(scene), typical_depth(scene)
+    if scene.interfaces.move_with_camera:  # to which all views look alike
+        images, depth = images[:1], typical_range(scene)
     if depth <= 0.0:
         return None
+    what = "depth" if words.kind == SURFACE else "distance"
     paths = run.capture.paths if run.capture is not None and run.capture.names == scene.views.names else ()
     return Drawn(
-        title="How far the water moves things",
-        picture=png(shift_figure(scene, shift_images(scene), depth, paths)),
+        title=f"How far {words.mover} moves things",
+        picture=png(shift_figure(scene, images, depth, paths)),
         alt="Map of the shift by refraction over the image, in pixels",
         caption=f"By how many pixels, and in which direction, refraction moves what lies {rounded(depth, 3)} "
-        f"{scene.length_unit} below the water (the median depth of the points).",
+        f"{scene.length_unit} {words.within} (the median {what} of the points).",
         look="These are the errors that a model without refraction has to hide somewhere: compare them with the "
         "residuals of a fraction of a pixel.",
-        kind="wide panels1" if len(shift_images(scene)) == 1 else "wide",
+        kind="wide panels1" if len(images) == 1 else "wide",
     )
 
 
-def draw_uncertainty(shown: Scene, truth: Truth | None) -> Drawn | None:
+def draw_uncertainty(shown: Scene, truth: Truth | None, words: Wording) -> Drawn | None:
     """None where the run has no covariances."""
     if shown.assessment.center_covariance is None:
         return None
-    figure, factor = uncertainty_figure(shown, truth)
+    figure, factor = uncertainty_figure(shown, truth, words)
     true = " True errors are drawn by the same factor." if truth is not None else ""
     return Drawn(
         title="How well the cameras are determined",
         picture=svg(figure),
-        alt="Uncertainty ellipses of the camera centres from above, and standard deviations of their heights",
+        alt=f"Uncertainty ellipses of the camera centres {words.along_z}, and standard deviations of their "
+        f"{words.heights}",
         caption=f"Ellipses of one standard deviation of each camera centre, exaggerated {factor:g} times, relative to "
         f"the cameras as a whole.{true}",
         look="Round ellipses of one size; a long one points in the direction that the photographs leave open."
@@ -173,13 +166,36 @@ def draw_uncertainty(shown: Scene, truth: Truth | None) -> Drawn | None:
     )
 
 
-def draw_dense(folder: Path) -> list[Drawn]:
-    """The pictures of a dense stage that lie in the folder."""
+def draw_dense(folder: Path, words: Wording, own: Wording) -> list[Drawn]:
+    """The pictures of a dense stage that lie in the folder, in the words of the frame of the truth and of its own."""
     found = []
-    for name, title, caption, look in DENSE_PICTURES:
+    for name, title, caption, look in _dense_pictures(words, own):
         try:
             shown = picture(folder / name, DENSE_WIDTH)
         except OSError:
             continue
         found.append(Drawn(title, shown, title, caption, look))
     return found
+
+
+def _dense_pictures(words: Wording, own: Wording) -> tuple[tuple[str, str, str, str], ...]:
+    """Files, titles, what they show and what to look for."""
+    level = f"{words.line} and " if words.line else ""
+    shore = "The shore should lie where the line of the water meets the surface; a" if words.kind == SURFACE else "A"
+    return (
+        ("dense_view.png", "The dense surface",
+         f"The dense points obliquely and from the side, coloured by {words.value}.",
+         f"A clean sheet without a haze of points {words.above} or {words.below} it; holes are where the photographs "
+         "show no texture."),
+        ("error_map.png", "Distance of the dense points from the true planes",
+         f"{capital(words.along_z)} and from the side: red lies {words.below} the true plane, blue {words.above} it.",
+         "Pale everywhere is good. A colour that changes slowly over the scene is a bend; speckle is noise of "
+         "matching."),
+        ("dsm.png", "Depth of the surface" if words.depth else "The surface as a map",
+         f"The dense points as a map seen {own.along_z}, shaded as if lit from one side.",
+         "Steps and ripples that the scene does not have come from the reconstruction."),
+        ("profiles.png", "Sections across the surface",
+         f"{capital(own.value)} over distance along three lines across the direction in which the surface is "
+         f"longest, with {level}two standard deviations on either side.",
+         f"{shore} bend that the {words.ground} does not have comes from a wrong index ratio or camera."),
+    )  # fmt: skip

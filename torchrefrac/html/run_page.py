@@ -39,12 +39,15 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
         run=contents,
         record=record,
         sizes=words.sizes(contents.capture) if contents.capture is not None else "",
-        model_words=words.MODELS.get(record.model, ""),
+        model_words=words.model_words(record.model, contents.words),
+        interfaces=words.interfaces(contents.capture),
+        wording=contents.words,
+        upright=words.upright(record),
         verdict=words.verdict(record, contents.unit),
         tiles=_tiles(contents),
         table=_table(contents, others) if record.is_complete else None,
         figures=_figures(contents, others, residuals),
-        dense=drawn.draw_dense(run) if "dense_points" in record.metrics else [],
+        dense=drawn.draw_dense(run, contents.words, contents.own_words) if "dense_points" in record.metrics else [],
         dense_words=_dense_words(record.metrics),
         survey=survey_facts(contents),
         orders=order_table(contents),
@@ -108,12 +111,13 @@ def _figures(run: RunContents, others: Sequence[RunContents], residuals: Residua
     shown = run.shown
     if shown is None or not bool(shown.views.registered.any()):
         return []
-    every = _in_order([run, *others])
+    every, of_kind = _in_order([run, *others]), run.words
     beside = every if len(every) <= MOST_PANELS else [run]
-    found = [drawn.draw_models(beside, _titles(beside)), drawn.draw_cameras(shown, run.truth), drawn.draw_attitude(run)]
+    path = drawn.draw_cameras(shown, run.truth, of_kind)
+    found = [drawn.draw_models(beside, _titles(beside)), path, drawn.draw_attitude(run)]
     if residuals is not None and run.scene is not None:
-        found += drawn.draw_residuals(residuals, run.scene)
-    found += [drawn.draw_shift(run), drawn.draw_uncertainty(shown, run.truth)]
+        found += drawn.draw_residuals(residuals, run.scene, of_kind)
+    found += [drawn.draw_shift(run), drawn.draw_uncertainty(shown, run.truth, of_kind)]
     return [figure for figure in found if figure is not None]
 
 

@@ -6,7 +6,7 @@ from typing import Any
 from torchrefrac.evaluate.survey_orders import NORMAL_95, ORDERS
 from torchrefrac.html.contents import RunContents
 from torchrefrac.html.tables import Cell, Table
-from torchrefrac.html.words import rounded, with_sigma
+from torchrefrac.html.words import interfaces, rounded, with_sigma
 
 COMPARED = ("dx", "dy", "dz", "distance")
 ORDER_NAMES = {"1": "1a and 1b"}
@@ -108,11 +108,14 @@ def methods(run: RunContents) -> str:
     points, images = record.number("dense_points"), record.number("registered_images")
     if points is None or images is None or scene is None or record.model != "refractive":
         return ""
+    of_kind, through = run.words, interfaces(run.capture)
+    stated = f"{through}; " if through else ""
     words = [
-        f"{images:.0f} photographs were reconstructed with refraction at the water surface modelled in every step "
-        f"(torchrefrac; index of refraction {scene.index_ratio:.4g} relative to air): relative and absolute poses with "
-        f"known vertical, bundle adjustment of all poses and points{_cameras(scene.cameras.names)}, and dense matching "
-        f"of surface patches along refracted rays ({points:.0f} points)."
+        f"{images:.0f} photographs were reconstructed with refraction {of_kind.model} modelled in every step "
+        f"(torchrefrac; {stated}index of refraction {scene.index_ratio:.4g} relative to air): "
+        f"relative and absolute poses {of_kind.poses}, bundle adjustment of all poses and "
+        f"points{_cameras(scene.cameras.names)}, and dense matching of surface patches along refracted rays "
+        f"({points:.0f} points)."
     ]
     level, unit = record.number(f"water_level_{run.unit}"), run.unit
     if level is not None:

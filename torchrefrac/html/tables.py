@@ -128,8 +128,8 @@ class Photograph:
 
 def photograph_heads(contents: RunContents) -> list[str]:
     """What the cells of each placed photograph are."""
-    unit, scene = contents.unit, contents.shown
-    heads = [f"height above the water ({unit})", "off vertical (°)", "observations", "median error (px)"]
+    unit, scene, words = contents.unit, contents.shown, contents.words
+    heads = [f"{words.height} ({unit})", f"{words.off_axis} (°)", "observations", "median error (px)"]
     heads.append("incidence, 5 to 95 % (°)")
     if scene is not None and scene.assessment.center_covariance is not None:
         heads.append(f"centre known to ({unit})")

@@ -9,12 +9,14 @@ from torchrefrac.figures.plotting import UNKNOWN, rounded
 from torchrefrac.figures.side_views import TITLES
 from torchrefrac.files.run import RunRecord, RunStatus
 from torchrefrac.files.swap import home
-from torchrefrac.scene import Capture
+from torchrefrac.scene import Capture, Interfaces
+from torchrefrac.scene.interfaces import SURFACE, WALL
+from torchrefrac.scene.wording import Wording
 
 MODELS = {
     "none": "as if there were no water",
     "radial": "as if the camera made what the water does: radial distortion refined",
-    "refractive": "with refraction at the water surface, exactly",
+    "refractive": "with refraction {at}, exactly",
 }
 ENDS = {
     RunStatus.FAILED: "Failed",
@@ -22,6 +24,7 @@ ENDS = {
     RunStatus.RUNNING: "Not finished: still running, or ended without a record;",
 }
 MINUTE = 60.0
+LEAST_TILT_DEG = 0.005
 
 
 def with_sigma(value: float, sigma: float | None) -> str:
@@ -33,6 +36,11 @@ def with_sigma(value: float, sigma: float | None) -> str:
     power = math.floor(math.log10(sigma))
     decimals = max(0, -power + (1 if sigma < 2.0 * 10.0**power else 0))
     return f"{value:.{decimals}f} ± {sigma:.{decimals}f}"
+
+
+def capital(words: str) -> str:
+    """As at the beginning of a sentence."""
+    return f"{words[:1].upper()}{words[1:]}"
 
 
 def plain(value: float) -> str:
@@ -63,6 +71,40 @@ def positions(capture: Capture | None, record: RunRecord) -> str:
         words.append(f"cameras are {across} from them across and {up} in height (RMS)")
     level = record.number(f"water_level_{unit}")
     return "; ".join([*words, *([] if level is None else [f"the water stands at {level:.2f} {unit} among them"])])
+
+
+def model_words(model: str, of_kind: Wording) -> str:
+    """What a model does; nothing of one that nobody knows."""
+    return MODELS.get(model, "").format(at=of_kind.model)
+
+
+def interfaces(capture: Capture | None) -> str:
+    """What is looked through, as it is stated; nothing where that is one surface of water."""
+    if capture is None or set(capture.interfaces.kinds) == {SURFACE}:
+        return ""
+    table = capture.interfaces
+    every = [_interface(table, row, capture.length_unit) for row in range(len(table))]
+    return "; ".join(every)
+
+
+def upright(record: RunRecord) -> str:
+    """How upright a wall is by gravity; nothing of what is none."""
+    off, sigma = (record.number(f"wall_upright_{name}_deg") for name in ("off", "sigma"))
+    return "" if off is None or sigma is None else f"the wall is {rounded(off)}° from it, ± {rounded(sigma)}°"
+
+
+def _interface(table: Interfaces, row: int, unit: str) -> str:
+    layers = zip(table.thickness[row].tolist(), table.layers[row].tolist(), strict=True)
+    glass = [f"{thickness:.4g} {unit} of glass ({plain(index)})" for thickness, index in layers if thickness > 0.0]
+    panes = " and ".join(glass) or "no glass that counts"
+    water = f"before water of {plain(float(table.index_ratio[row]))}"
+    if table.kinds[row] == WALL:
+        return f"a wall of {panes} {water}"
+    if table.kinds[row] == SURFACE:
+        return f"a surface of water of {plain(float(table.index_ratio[row]))}"
+    tilt = math.degrees(math.acos(min(1.0, -float(table.normal[row, 2]))))
+    turned = f", tilted by {tilt:.2g}°" if tilt > LEAST_TILT_DEG else ""
+    return f"a flat port {-float(table.offset[row]):.4g} {unit} ahead{turned}, of {panes} {water}"
 
 
 def seconds(value: float) -> str:

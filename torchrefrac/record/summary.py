@@ -6,6 +6,8 @@ from typing import Any
 from torchrefrac.evaluate.dense_metrics import FOUND, TYPICAL
 from torchrefrac.evaluate.survey_orders import ORDERS
 from torchrefrac.record.terminal import wrapped
+from torchrefrac.scene.interfaces import SURFACE
+from torchrefrac.scene.wording import INTERFACE, wording
 
 COMPARED = (("control", "ground control points"), ("check", "check points"))
 """Points of a survey by what names of metrics begin with, and what they are called."""
@@ -29,7 +31,7 @@ def adjustment_lines(metrics: Mapping[str, Any]) -> list[str]:
         f"{metrics['adjusted_images']} of {metrics['images']} images adjusted, {metrics['points']} points "
         f"({metrics['dropped_points']} dropped), {metrics['observations']} observations "
         f"({metrics['dropped_observations']} dropped)",
-        f"median reprojection error {metrics['reprojection_median_px']:.3f} px, through the water before "
+        f"median reprojection error {metrics['reprojection_median_px']:.3f} px, through {_through(metrics)} before "
         f"{metrics['reprojection_median_before_px']:.3f} px, {metrics['seconds_total']:.1f} s",
         f"index ratio {metrics['index_ratio']:.4f}{spread}, cameras moved by "
         f"{metrics[f'camera_shift_median_{unit}']:.4g} {unit} (median), "
@@ -38,6 +40,11 @@ def adjustment_lines(metrics: Mapping[str, Any]) -> list[str]:
     ]
     lines += [f"not refined: {sentence}" for sentence in metrics["held"].values()]
     return lines + _of_survey(metrics) + _against_truth(metrics) + warning_lines(metrics)
+
+
+def _through(metrics: Mapping[str, Any]) -> str:
+    """What was looked through."""
+    return wording(metrics.get(INTERFACE, SURFACE)).glass
 
 
 def _of_survey(metrics: Mapping[str, Any]) -> list[str]:
@@ -93,10 +100,11 @@ def reconstruction_lines(metrics: Mapping[str, Any]) -> list[str]:
         f"median reprojection error {metrics['reprojection_median_px']:.3f} px, {metrics['seconds_total']:.1f} s"
     ]
     if metrics.get("points_outside_water"):
+        place = wording(metrics.get(INTERFACE, SURFACE))
         wet = metrics["points"] - metrics["points_above_water"] - metrics["points_outside_water"]
         lines.append(
-            f"{wet} points under water, {metrics['points_above_water']} above its level, "
-            f"{metrics['points_outside_water']} below it, but outside the water"
+            f"{wet} points under water, {metrics['points_above_water']} {place.above} {place.level}, "
+            f"{metrics['points_outside_water']} {place.below} it, but outside the water"
         )
     lines += [f"not registered: {name} {reason}" for name, reason in metrics.get("not_registered", {}).items()]
     if metrics["gravity"] == "estimated":
@@ -109,12 +117,30 @@ def reconstruction_lines(metrics: Mapping[str, Any]) -> list[str]:
             "the normal of the wall was found by the refraction, in each image to "
             f"{metrics['wall_normal_sigma_deg']:.1f} degrees at first"
         )
+    if "wall_upright_off_deg" in metrics:
+        lines.append(
+            f"by gravity the wall is {metrics['wall_upright_off_deg']:.2g} degrees from upright "
+            f"(+- {metrics['wall_upright_sigma_deg']:.2g})"
+        )
+    lines += _of_port(metrics)
     if "index_ratio_sigma" in metrics:
         lines.append(f"index ratio {metrics['index_ratio']:.4f} +- {metrics['index_ratio_sigma']:.2g}")
     lines += [f"not refined: {sentence}" for sentence in metrics.get("held", {}).values()]
     lines += _of_survey(metrics)
     lines += _against_truth(metrics) + (dense_lines(metrics) if "dense_points" in metrics else [])
     return lines + survey_lines(metrics) + warning_lines(metrics)
+
+
+def _of_port(metrics: Mapping[str, Any]) -> list[str]:
+    """What was found of a port, where it was refined."""
+    found = []
+    unit = _unit_of(metrics, "port_distance_sigma_")
+    if unit is not None:
+        sigma = metrics[f"port_distance_sigma_{unit}"]
+        found.append(f"{metrics[f'port_distance_{unit}']:.4g} {unit} ahead (+- {sigma:.2g})")
+    if "port_tilt_deg" in metrics:
+        found.append(f"tilted by {metrics['port_tilt_deg']:.3g} degrees (+- {metrics['port_tilt_sigma_deg']:.2g})")
+    return [f"port found {', '.join(found)}"] if found else []
 
 
 def survey_lines(metrics: Mapping[str, Any]) -> list[str]:

@@ -12,6 +12,7 @@ from torchrefrac.files.cameras import CAMERAS, load_points, read_cameras
 from torchrefrac.files.dense import load_dense
 from torchrefrac.files.run import DENSE_CLOUD, RunRecord
 from torchrefrac.files.truth import load_truth
+from torchrefrac.scene.wording import wording_of
 from torchrefrac.sweeps.cells import decimals, error_text, in_header, markdown_table, registered, rounded, unit_of
 from torchrefrac.sweeps.design import FIGURES, has_paper_form, load_runs, scenes_of, shown_together, what_varied
 
@@ -61,7 +62,8 @@ def _draw(jobs: Sequence[RunRecord], sides_path: Path, dense_path: Path, map_pat
             cloud = load_dense(job.folder / DENSE_CLOUD)
             dense.append(dense_view(title, cloud, scene, aligned, job.metrics))
             if truth is not None and aligned is not None and len(truth.corner):
-                panels.append(error_panel(title, cloud, aligned, truth, job.metrics))
+                words = wording_of(scene, job.metrics, upright=True)
+                panels.append(error_panel(title, cloud, aligned, truth, job.metrics, words))
     draw_side_views(views, truth, sides_path)
     if dense:
         draw_dense_views(dense, truth, dense_path)
