@@ -57,11 +57,11 @@ def test_a_wall_s_angle_from_upright_is_that_of_its_normal_to_the_level(through)
 def test_what_was_found_of_a_port_has_its_standard_deviation(through):
     tilt = math.radians(1.5)
     scene = through("port", (0.0, math.sin(tilt), -math.cos(tilt)), -2.1)
-    known = Assessment(level_covariance=_table((0.04**2,)), tilt_sigma=math.radians(0.02))
-    stated = replace(scene.interfaces, thickness=_table((1.0,)))
+    deviations = {"tilt_sigma": math.radians(0.02), "layer_sigma": {"layer_thickness": 0.03}}
+    known = Assessment(level_covariance=_table((0.04**2,)), **deviations)
 
     as_stated = summarize(scene)
-    found = summarize(replace(scene, assessment=known, interfaces=replace(scene.interfaces, stated=stated)))
+    found = summarize(replace(scene, assessment=known))
 
     assert not [name for name in as_stated if name.startswith(("port", "wall", "glass"))]
     assert found["interface"] == "port"
@@ -70,6 +70,7 @@ def test_what_was_found_of_a_port_has_its_standard_deviation(through):
     assert found["port_tilt_deg"] == pytest.approx(1.5)
     assert found["port_tilt_sigma_deg"] == pytest.approx(0.02)
     assert found["glass_thickness_cm"] == 0.8
+    assert found["glass_thickness_sigma_cm"] == 0.03
     assert "glass_index" not in found
 
 

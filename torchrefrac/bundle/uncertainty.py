@@ -45,6 +45,11 @@ class Uncertainty:
     layout: Layout
     common: CommonErrors | None = None
 
+    def medium_sigma(self, name: str) -> float:
+        """Standard deviation of one of `rows.MEDIA`, which varies."""
+        column = self.layout.medium_column(name)
+        return float(self.covariance[column, column].clamp(min=0.0).sqrt())
+
     @property
     def growth(self) -> float:
         """By how much errors that observations have in common make the deviations of the centres larger: of the median

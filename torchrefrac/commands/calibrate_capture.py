@@ -174,8 +174,7 @@ def _sigmas(found: Calibration) -> list[dict[str, float]]:
     interfaces, known = found.scene.interfaces, found.known
     if known is None:
         return [dict(interfaces.sigmas) for _ in range(len(interfaces))]
-    deviation = known.covariance.diagonal().clamp(min=0.0).sqrt()
-    media = {name: float(deviation[known.layout.medium_column(name)]) for name in known.layout.water if name in MEDIA}
+    media = {name: known.medium_sigma(name) for name in known.layout.water if name in MEDIA}
     planes = known.planes.tolist()
     return [media | {"plane_tilt": max(first, second), "plane_height": height} for first, second, height in planes]
 

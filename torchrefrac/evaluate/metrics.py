@@ -62,8 +62,8 @@ def interface_metrics(scene: Scene) -> dict[str, float]:
     With UNIT the scene's length unit: wall_upright_off_deg, the angle of the wall from upright by the gravity of its
     photographs, and wall_upright_sigma_deg, with what gravity is known to. Of what was refined of a port:
     port_distance_UNIT and port_tilt_deg, from the optical axis, with standard deviations (port_distance_sigma_UNIT,
-    port_tilt_sigma_deg). Of one layer of glass glass_thickness_UNIT and glass_index, where they differ from what was
-    stated.
+    port_tilt_sigma_deg). Of one layer of glass that was refined glass_thickness_UNIT and glass_index, with
+    glass_thickness_sigma_UNIT and glass_index_sigma.
     """
     interfaces, known, unit = scene.interfaces, scene.assessment, scene.length_unit
     found: dict[str, float] = {}
@@ -79,10 +79,13 @@ def interface_metrics(scene: Scene) -> dict[str, float]:
         if known.tilt_sigma is not None:
             found["port_tilt_deg"] = math.degrees(math.acos(min(1.0, -float(interfaces.normal[0, 2]))))
             found["port_tilt_sigma_deg"] = math.degrees(known.tilt_sigma)
-    stated, one_layer = interfaces.stated, interfaces.layers.shape[-1] == 1
-    for name, key in (("thickness", f"glass_thickness_{unit}"), ("layers", "glass_index")):
-        if one_layer and stated is not None and float(getattr(interfaces, name)[0]) != float(getattr(stated, name)[0]):
-            found[key] = float(getattr(interfaces, name)[0])
+    for name, sigma in known.layer_sigma.items():
+        if name == "layer_thickness":
+            found[f"glass_thickness_{unit}"] = float(interfaces.thickness[:, 0].max())
+            found[f"glass_thickness_sigma_{unit}"] = sigma
+        else:
+            found["glass_index"] = float(interfaces.layers[interfaces.thickness[:, 0].argmax(), 0])
+            found["glass_index_sigma"] = sigma
     return found
 
 

@@ -33,9 +33,9 @@ class Assessment:
     centres. All are relative to the cameras as a whole. surface_slope: root mean square slope of the water surface that
     the residuals show, radians, zero where they show none; surface_moves: whether it differs from image to image.
     common_tilt: how far such errors make verticals of registered views uncertain, radians; growth: by how much they
-    make standard deviations larger. index_ratio_sigma: None where it was given. intrinsics_sigma: by name of what was
-    refined of them ("focal", relative, "principal_point", "radial", "distortion"), of each camera; zero where it was
-    not.
+    make standard deviations larger. index_ratio_sigma: None where it was given. layer_sigma: of "layer_index" and
+    "layer_thickness", where they were refined. intrinsics_sigma: by name of what was refined of them ("focal",
+    relative, "principal_point", "radial", "distortion"), of each camera; zero where it was not.
     determined: sentences about water, intrinsics and scale; fixed: what was to be refined, but is not determined, and
     why. wished: by how much "index_ratio", "layer_thickness" (of glass before the water) and the logarithm of the
     "focal" length (of each camera, see `Cameras.label`), which were given, would change if the images had a say, and
@@ -63,6 +63,7 @@ class Assessment:
     center_sigma: Float[Tensor, " r"] | None = None
     center_covariance: Float[Tensor, "r 3 3"] | None = None
     index_ratio_sigma: float | None = None
+    layer_sigma: Mapping[str, float] = field(default_factory=dict)
     intrinsics_sigma: Mapping[str, Float[Tensor, "g _"]] = field(default_factory=dict)
     determined: tuple[str, ...] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)

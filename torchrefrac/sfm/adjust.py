@@ -22,6 +22,7 @@ from torchrefrac.bundle import (
 from torchrefrac.bundle import adjust as adjust_bundle
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.observability import coefficients_as_stated
+from torchrefrac.bundle.rows import OF_LAYERS
 from torchrefrac.bundle.score import Given
 from torchrefrac.bundle.terms import concerned_points
 from torchrefrac.numerics import typical_deviation
@@ -220,6 +221,7 @@ def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Asses
         center_sigma=mean_deviation(centers),
         center_covariance=centers,
         index_ratio_sigma=float(known.index_ratio) if "index_ratio" in problem.layout.water else None,
+        layer_sigma={name: known.medium_sigma(name) for name in OF_LAYERS if name in problem.layout.water},
         intrinsics_sigma=known.intrinsics,
         determined=tuple(d.sentence for d in found),
         fixed=fixed,
