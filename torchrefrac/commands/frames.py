@@ -24,7 +24,7 @@ from torchrefrac.files.swap import remove_if_empty
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Capture, CaptureError, Scene
 from torchrefrac.sfm import Rules
-from torchrefrac.sfm.known_poses import points_at_known_poses
+from torchrefrac.sfm.known_cameras import points_of_photographs
 
 SUMMARY = "frames.csv"
 COLUMNS = ("frame", "status", "images", "points", "dense_points", "seconds", "reason")
@@ -113,7 +113,7 @@ def _densified(job: Frame, place: Path) -> dict[str, Any]:
         features = extract(scene.capture, usual, silent)
         matches = match_all(features, usual, silent)
         rules = Rules(max_error=usual.sfm.max_error, min_angle_deg=usual.sfm.min_angle_deg, bundle=usual.sfm.bundle)
-        found = points_at_known_poses(scene, features, matches, rules)
+        found = points_of_photographs(scene, features, matches, rules)
         files.stage_done("sparse", found, 0.0)
         metrics, alignment = evaluate_run(found, None)
         files.complete(found, metrics, None, alignment)

@@ -1,15 +1,20 @@
-"""Points through cameras that are known: tracks that were made elsewhere, as of animals in an aquarium."""
+"""Points through cameras that are known, as those that stand still while what they look at moves: of tracks that were
+made elsewhere, as of animals in an aquarium, and of photographs of another moment."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.bundle import BundleOptions
 from torchrefrac.checks import require
+from torchrefrac.features import Features, PairMatches, build_tracks
 from torchrefrac.refinement import PointEstimate, refine_points
 from torchrefrac.scene import Observations, Scene
+from torchrefrac.sfm.filter_points import filter_points
+from torchrefrac.sfm.rays import Rays
 from torchrefrac.sfm.rules import Rules
 from torchrefrac.sfm.triangulate import triangulate
 
@@ -49,3 +54,44 @@ def triangulate_tracks(
     cameras = found.cameras_of(used)
     estimate = refine_points(cameras, used.pixels, used.point, found.points, pixel_sigma, tolerance=EXACT)
     return estimate, torch.empty_like(found.accepted).index_copy(0, order, found.accepted)
+
+
+def points_of_photographs(
+    scene: Scene, features: Sequence[Features], matches: Sequence[PairMatches], rules: Rules
+) -> Scene:
+    """The views of `scene`, which stay where they are, with the points that their keypoints show.
+
+    features: of each view; matches: between them, of which those count whose rays meet: both keypoints are within
+    rules.max_error of where the point is seen. Two matches of one track that no two views could tell apart are not
+    found out before a third view sees the point.
+    """
+    agreeing = [agreeing_matches(scene, features, pair, rules.max_error) for pair in matches]
+    observations, colors = build_tracks(features, agreeing)
+    nothing = torch.zeros(len(colors), dtype=torch.bool)
+    tracks = replace(
+        scene.with_points(torch.zeros(len(colors), 3, dtype=torch.float64), colors, observations),
+        placed=nothing,
+        accepted=torch.zeros(len(observations), dtype=torch.bool),
+    )
+    placed, _ = triangulate(tracks, rules)
+    return filter_points(placed, rules)[0].trimmed()
+
+
+def agreeing_matches(scene: Scene, features: Sequence[Features], pair: PairMatches, max_error: float) -> PairMatches:
+    """Those of a pair of views whose rays meet, in a point that both see within max_error pixels."""
+    if not len(pair):
+        return pair
+    view = torch.tensor([pair.first, pair.second])
+    both = torch.stack([features[i].pixels[pair.matches[:, k]] for k, i in enumerate(view.tolist())], dim=1)
+    camera = scene.camera_of(view)
+    planes, surfaces = scene.interfaces, scene.interfaces.of_views(scene.views.interface[view])
+
+    def height(points: Float[Tensor, "k 3"]) -> Float[Tensor, " k"]:
+        if planes.move_with_camera:
+            return torch.full_like(points[..., 2], -torch.inf)
+        return surfaces.plane.signed_distance(points[..., None, :]).mean(dim=-1)
+
+    points, _, valid = Rays.of(camera, both).meet(height)
+    projected, possible = camera.project(points[:, None])
+    error = (projected - both).norm(dim=-1).amax(dim=-1)
+    return replace(pair, matches=pair.matches[valid & possible.all(dim=-1) & (error < max_error)])
