@@ -107,7 +107,7 @@ def _measure(scene: str, options: argparse.Namespace, folder: Path) -> None:
         for key, value in metrics.items():
             if key.startswith(("dense_accuracy", "dense_surface", "dense_points")):
                 print(f"{'':17} {key} {value:.4g}")
-        for line in (*metrics["determined"], *(warning["message"] for warning in metrics["warnings"])):
+        for line in (*metrics.get("determined", ()), *(warning["message"] for warning in metrics["warnings"])):
             print(f"{'':17} {line}")
 
 
