@@ -87,6 +87,20 @@ def test_what_some_images_alone_state_is_unknown_of_the_others(load):
     assert capture.position_sigma.tolist() == [[math.inf] * 3, [0.02, 0.02, 0.03], [0.5] * 3]
 
 
+def test_before_a_wall_cameras_may_be_level_and_know_its_normal(load):
+    def before_a_wall(content):
+        layers = [{"index": 1.0}, {"index": 1.52, "thickness": 0.01}, {"index": 1.333}]
+        content["interface"] = {"kind": "wall", "layers": layers}
+        content["images"][0]["down_in_cam"] = [0.0, 1.0, 0.0]
+        content["images"][1] |= {"normal_in_cam": [0.0, 0.6, -0.8], "normal_sigma_deg": 2.0}
+
+    capture = load(before_a_wall)
+
+    assert capture.down_in_cam[0].tolist() == [0.0, 1.0, 0.0]
+    assert capture.normal_in_cam.tolist() == [[0.0, 0.0, -1.0], [0.0, 0.6, -0.8], [0.0, 0.0, -1.0]]
+    assert torch.rad2deg(capture.normal_sigma).tolist() == pytest.approx([math.inf, 2.0, math.inf])
+
+
 def test_the_surface_and_the_frame_arrive(load):
     capture = load()
 
@@ -185,6 +199,9 @@ def _image(**values):
         (_set(georeference={"crs": "EPSG:32633", "origin": [0, 0, 0], "slope": [0, 0]}), "slope is not a known field"),
         (_set(length_unit="cm"), "length_unit is 'cm', but must be 'm' where there is a georeference"),
         (_set(folder=7), "folder is 7, but must be a non-empty string"),
+        (_image(normal_in_cam=[0.0, 0.0, 1.0], normal_sigma_deg=1.0), "must point towards the camera"),
+        (_image(normal_in_cam=[0.0, 0.6, -0.8]), "normal_sigma_deg is missing"),
+        (_image(down_in_cam=[0.0, 1.0, 0.0]), "a camera that looks at the sky"),
         (lambda c: c.pop("position_sigma"), "position_sigma is missing"),
         (_set(position_sigma=[1, 1]), "position_sigma is a list of 2, but must be a list of 3 numbers"),
         (_set(position_sigma=[1, 0, 1]), r"position_sigma\[1\] is 0, but must be above 0"),
