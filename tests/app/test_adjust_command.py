@@ -12,7 +12,7 @@ from torchrefrac.cli.composed import adjust_options
 from torchrefrac.cli.conf import CONF
 from torchrefrac.commands import adjust as readjustment
 from torchrefrac.config import AdjustOptions, OptionError, PlaneOptions, build
-from torchrefrac.files.cameras import load_points, write_cameras
+from torchrefrac.files.cameras import load_points, read_cameras, write_cameras
 from torchrefrac.files.colmap.model import read_colmap, write_colmap
 from torchrefrac.files.tracks import read_scene, write_tracks
 from torchrefrac.files.water import read_water, write_water
@@ -174,7 +174,7 @@ def test_several_cameras_and_interfaces_go_through(torchrefrac, make_basin, draw
     ended = torchrefrac("adjust", "alignment=given", "water.path=given/water.json", "out=run")
 
     assert ended.status == 0
-    assert {path.name for path in (tmp_path / "run").iterdir()} == RESULTS - {"cameras.json"}
+    assert {path.name for path in (tmp_path / "run").iterdir()} == RESULTS
     adjusted = read_colmap(tmp_path / "run" / "colmap")
     assert [width for width, _ in adjusted.cameras.sizes] == [1024, 1040]
     assert torch.equal(adjusted.views.camera, planted.truth.views.camera)
@@ -196,7 +196,27 @@ def test_the_water_level_is_found(torchrefrac, planted, draw, metrics, tmp_path)
     assert ended.status == 0
     assert metrics(tmp_path / "run")["camera_rms_cm"] < 0.2
     assert float(_water(tmp_path / "run").offset) == pytest.approx(250.0, abs=8.0)
-    assert not (tmp_path / "run" / "cameras.json").exists()
+    written = read_cameras(tmp_path / "run" / "cameras.json").interfaces
+    assert torch.equal(written.offset, _water(tmp_path / "run").offset)
+
+
+def test_a_wall_of_a_run_stays_a_wall_of_glass(torchrefrac, planted, draw, tmp_path):
+    glass = {"layers": torch.tensor([[1.52]]).double(), "thickness": torch.tensor([[1.25]]).double()}
+    truth = replace(planted.truth, interfaces=replace(planted.truth.interfaces, **glass, kinds=("wall",)))
+    seen = truth.observations
+    pixels, _ = truth.camera_of(seen.view).project(truth.points[seen.point])
+    noisy = replace(seen, pixels=pixels + 0.1 * draw.normal(len(seen), 2))
+    (tmp_path / "given").mkdir()
+    write_cameras(truth, tmp_path / "given" / "cameras.json")
+    write_tracks(replace(truth, observations=noisy), tmp_path / "given" / "tracks.npz")
+
+    ended = torchrefrac("adjust", "alignment=given", "out=run")
+
+    assert ended.status == 0, ended.err
+    adjusted = read_cameras(tmp_path / "run" / "cameras.json")
+    assert adjusted.interfaces.kinds == ("wall",)
+    assert torch.equal(adjusted.interfaces.thickness, glass["thickness"])
+    torch.testing.assert_close(adjusted.views.center, truth.views.center, rtol=0.03, atol=1.0)
 
 
 def test_a_level_that_the_survey_states_takes_part(torchrefrac, planted, metrics, tmp_path):
@@ -391,7 +411,7 @@ def test_a_folder_that_is_used_again_tells_of_the_last_adjustment_that_succeeded
     failed = torchrefrac("adjust", f"alignment={given}", "survey=none.json", "out=run")
 
     assert (again.status, failed.status) == (0, 1)
-    assert {path.name for path in (tmp_path / "run").iterdir()} == RESULTS - {"cameras.json"}
+    assert {path.name for path in (tmp_path / "run").iterdir()} == RESULTS
     assert {path.name for path in (tmp_path / "run" / "colmap").iterdir()} == {
         "cameras.bin", "images.bin", "points3D.bin",
     }  # fmt: skip

@@ -78,10 +78,10 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
     """Read the reconstruction, the water and the survey, adjust, evaluate where truth is at hand, and leave everything
     in `folder`. Returns the metrics.
 
-    `folder` then holds colmap/, water.json, points.ply (with a standard deviation for every point), tracks.npz and
-    metrics.json; and cameras.json where the water is the plane z = 0. metrics.json says why,
-    where this fails. Of a run its own water, photographs and truth are taken where the options name none. Raises
-    OutRefusedError, before anything is written, where the results would replace what was given.
+    `folder` then holds colmap/, water.json, points.ply (with a standard deviation for every point), tracks.npz,
+    cameras.json and metrics.json, which says why, where this fails. Of a run its own water, photographs and truth are
+    taken where the options name none. Raises OutRefusedError, before anything is written, where the results would
+    replace what was given.
     """
     require_apart(options, folder)
     require_own(folder, adjusts=True)
@@ -165,14 +165,17 @@ def _states_water(options: AdjustOptions, run: RunRecord | None) -> bool:
 
 
 def _with_water(scene: Scene, options: AdjustOptions, run: RunRecord | None) -> Scene:
-    """The scene behind the surfaces of a water.json, or behind the one plane of the options. An adjusted run has a
-    water.json of its own, which counts where the options say nothing else."""
+    """The scene behind the interfaces of a water.json, or behind the one plane of the options. An adjusted run has a
+    water.json of its own, and other runs have walls, ports and several levels, which count where the options say
+    nothing else."""
     path = options.water.path
     own = None if run is None or run.command != "adjust" else run.folder / WATER
     if path is None and own is not None and own.is_file() and options.plane == PlaneOptions():
         path = str(own)
+    interfaces, rows = scene.interfaces, scene.views.interface
     if path is not None:
         interfaces, rows = read_water(path, scene.views.names)
+    if path is not None or (options.plane == PlaneOptions() and interfaces.refract() and not interfaces.are_plain):
         if options.index_ratio is not None:
             interfaces = replace(interfaces, index_ratio=torch.full_like(interfaces.index_ratio, options.index_ratio))
         return replace(scene, interfaces=interfaces, views=replace(scene.views, interface=rows))
@@ -292,8 +295,7 @@ def _write(scene: Scene, folder: Path, binary: bool, ids: Ids | None) -> None:
     write_water(scene, folder / WATER)
     write_points(scene.points, scene.colors, folder / "points.ply", scene.assessment, scene.dry)
     write_tracks(scene, folder / TRACKS)
-    if scene.interfaces.is_level:
-        write_cameras(scene, folder / "cameras.json")
+    write_cameras(scene, folder / CAMERAS)
 
 
 def _point_errors(scene: Scene) -> Float[Tensor, " n"]:
@@ -303,9 +305,12 @@ def _point_errors(scene: Scene) -> Float[Tensor, " n"]:
 
 
 def _above_level_water(scene: Scene) -> Scene:
-    """In a frame in which its one water surface is z = 0, as it is in that of the truth."""
+    """In a frame in which its one surface is z = 0, as it is in that of the truth; behind ports any is as good."""
+    if scene.interfaces.move_with_camera:
+        return scene
     normal, offset = scene.interfaces.normal[0], scene.interfaces.offset[0]
     across, along = (tangent[0] for tangent in scene.interfaces.planes.tangents_like(normal))
     up = normal.new_tensor((0.0, 0.0, 1.0))
     level = Similarity(torch.ones_like(offset), torch.stack((across, along, normal)), -offset * up)
-    return replace(transformed(scene, level), interfaces=Interfaces.level(scene.index_ratio))
+    at_zero = replace(scene.interfaces, normal=up[None], offset=torch.zeros_like(scene.interfaces.offset))
+    return replace(transformed(scene, level), interfaces=at_zero)

@@ -110,8 +110,7 @@ def open_run(folder: Path, given: str | None = None) -> SparseRun:
         raise OptionError(f"run is {folder}, which is no folder; name one that a run has left behind")
     if not (folder / CAMERAS).is_file():
         raise SceneError(
-            f"{folder} holds no {CAMERAS}, so there is no sparse model to begin with: run `torchrefrac` first (after "
-            "`torchrefrac adjust` there is one where the water is the plane z = 0)"
+            f"{folder} holds no {CAMERAS}, so there is no sparse model to begin with: run `torchrefrac` first"
         )
     scene = read_run(folder)
     capture = load_capture(_capture_folder(folder, given))

@@ -24,9 +24,10 @@ from torchrefrac.sfm.walls import gravity_in_world, looks_through_wall, tilt_sig
 
 FEW, WORSE = 0.5, 4.0
 """Share of the observations of the typical view, and times its error: a view with fewer, larger ones is weak."""
-SURE = 4.0
-"""Standard deviations of a wished change."""
-NOTABLE_INDEX, NOTABLE_FOCAL, VAGUE_FOCAL, NOTABLE_GLASS = 0.01, 0.02, 0.2, 0.25
+SURE, VERY_SURE = 4.0, 6.0
+"""Standard deviations of a wished change; of one that moves keypoints by hundredths of a pixel, as glass of another
+thickness does."""
+NOTABLE_INDEX, NOTABLE_FOCAL, VAGUE_FOCAL, NOTABLE_GLASS = 0.01, 0.02, 0.2, 0.5
 DOUBTFUL = 3.0
 """Standard deviations by which what is stated with a sigma may be off."""
 UNCERTAIN = (("focal", "the focal length", " px"), ("principal_point", "the principal point", " px"))
@@ -103,7 +104,7 @@ def _glass(scene: Scene) -> list[Finding]:
     """Of a wall or port: glass that is missing in what was stated, or has another thickness."""
     step, sigma = scene.assessment.wished.get("layer_thickness", (0.0, 1.0))
     stated, unit = float(scene.interfaces.thickness.max()) if scene.interfaces.has_layers else 0.0, scene.length_unit
-    if abs(step) <= max(SURE * sigma, NOTABLE_GLASS * stated):
+    if abs(step) <= (max(VERY_SURE * sigma, NOTABLE_GLASS * stated) if stated else DOUBTFUL * sigma):
         return []
     seen = f"{max(stated + step, 0.0):.2g} {unit} +- {sigma:.1g} of glass (index {GLASS:g})"
     what = f"{stated:.3g} {unit} are stated" if stated else "none is stated"

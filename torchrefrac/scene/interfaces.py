@@ -106,6 +106,11 @@ class Interfaces:
         return self.layers.shape[-1] > 0
 
     @property
+    def are_plain(self) -> bool:
+        """Whether there is one surface, the plane z = 0, of water alone."""
+        return len(self) == 1 and self.is_level and self.kinds == (SURFACE,) and not self.has_layers
+
+    @property
     def move_with_camera(self) -> bool:
         """Whether they are ports."""
         return PORT in self.kinds

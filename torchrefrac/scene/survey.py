@@ -136,6 +136,12 @@ class Survey:
     skipped_controls: tuple[str, ...] = ()
     georeference: Georeference | None = None
 
+    @property
+    def has_lengths(self) -> bool:
+        """Whether anything in it gives a scene its scale."""
+        several = len(self.center) > 1 or len(self.known_control) > 1
+        return several or bool(len(self.height) or len(self.bar_length))
+
     @classmethod
     def empty(cls, names: Sequence[str]) -> "Survey":
         """Nothing was measured of these images."""

@@ -8,9 +8,10 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from torchrefrac.bundle import BundleOptions, Term, UnadjustableError, check_inputs
+from torchrefrac.bundle import BundleOptions, HeightPrior, Term, UnadjustableError, check_inputs
 from torchrefrac.recorder import Advance, Recorder, SilentRecorder
 from torchrefrac.scene import Assessment, Part, Scene, Survey
+from torchrefrac.scene.capture import RELATIVE_HEIGHT_SIGMA
 from torchrefrac.sfm.adjust import Journal, Steps, adjust, assess, with_height, with_slope
 from torchrefrac.sfm.control import check_vertical, survey_terms, with_control
 from torchrefrac.sfm.dry_points import find_dry, with_dry
@@ -87,6 +88,8 @@ class Work:
         check_vertical(scene, survey)
         self.survey, self.options, self.ties = survey, options, len(scene.points)
         self.recorder = recorder or SilentRecorder()
+        glazed = scene.interfaces.has_layers and scene.interfaces.stand_in_world and not survey.has_lengths
+        self.heights = scene.camera_heights() if glazed else None
         self.known = torch.zeros(self.ties + len(survey.control_names), dtype=torch.bool)
         self.known[self.ties + survey.known_control] = True
         self.rules = options.rules(self._measured, 2 - self.known.long())
@@ -150,7 +153,16 @@ class Work:
         return scene, outcome
 
     def _measured(self, part: Part) -> Sequence[Term]:
-        return survey_terms(self.survey, part, self.ties)
+        terms = survey_terms(self.survey, part, self.ties)
+        return terms if self.heights is None else [*terms, self._scale(part)]
+
+    def _scale(self, part: Part) -> HeightPrior:
+        """Layers of known thickness determine the scale, but so weakly that it would drift: it is known to
+        RELATIVE_HEIGHT_SIGMA, as that of one stated height, and each single height to much less."""
+        assert self.heights is not None
+        heights = self.heights[part.view]
+        sigma = RELATIVE_HEIGHT_SIGMA * len(heights) ** 0.5 * heights
+        return HeightPrior(torch.arange(len(heights)), heights, sigma)
 
     def _record(self, scene: Scene, outcome: Outcome) -> None:
         """What an adjustment has led to."""
