@@ -15,14 +15,32 @@ GROUPS = 128
 group as the largest of all. To look for two of few groups, and of one group, is cheaper than to look for two of all."""
 
 
+RANGES = {
+    "ratio": Range(above=0.0, at_most=1.0),
+    "per_image": Range(at_least=1, at_most=1_000_000),
+    "window": Range(at_least=1, at_most=1_000_000),
+}
+AUTO, EXHAUSTIVE, POSITIONS, SEQUENCE, RETRIEVAL = "auto", "exhaustive", "positions", "sequence", "retrieval"
+WAYS = (AUTO, EXHAUSTIVE, POSITIONS, SEQUENCE, RETRIEVAL)
+
+
 @dataclass(frozen=True)
 class MatchOptions:
-    """ratio: the nearest descriptor must be closer than this times the second nearest (Lowe, IJCV 2004)."""
+    """ratio: the nearest descriptor must be closer than this times the second nearest (Lowe, IJCV 2004).
+
+    pairs: which photographs are matched, one of WAYS or the path of a list of pairs. per_image: partners that each has
+    by positions, and by retrieval, at most. window: neighbours on either side in the order of names.
+    """
 
     ratio: float = 0.8
+    pairs: str = AUTO
+    per_image: int = 30
+    window: int = 10
 
     def __post_init__(self) -> None:
-        require_ranges(self, {"ratio": Range(above=0.0, at_most=1.0)})
+        require_ranges(self, RANGES)
+        if not self.pairs.strip():
+            raise ValueError(f"pairs is empty, but must be {', '.join(WAYS)}, or the path of a list of pairs")
 
 
 def match(
