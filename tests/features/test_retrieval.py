@@ -1,9 +1,10 @@
 """Photographs that look alike, of descriptors that are drawn."""
 
+import pytest
 import torch
 
-from torchrefrac.features import likeness
-from torchrefrac.features.retrieval import aggregated, learn_words, nearest_word
+from torchrefrac.features import MatchOptions, likeness, match
+from torchrefrac.features.retrieval import COSINE, FIRST, aggregated, learn_words, nearest_word, share_of_first
 
 
 def _descriptors(draw, images=30, seen=60, step=12):
@@ -15,7 +16,7 @@ def _descriptors(draw, images=30, seen=60, step=12):
 
 
 def test_photographs_that_show_the_same_places_are_the_most_alike(draw):
-    score = likeness(_descriptors(draw)).fill_diagonal_(-torch.inf)
+    score = likeness(_descriptors(draw), 0.8).fill_diagonal_(-torch.inf)
 
     nearest = score.topk(2, dim=1).indices
     apart = (nearest - torch.arange(30)[:, None]).abs()
@@ -27,15 +28,29 @@ def test_photographs_that_show_the_same_places_are_the_most_alike(draw):
 def test_a_seed_decides_and_an_empty_photograph_is_like_no_other(draw):
     descriptors = [*_descriptors(draw), torch.zeros(0, 32)]
 
-    score = likeness(descriptors, seed=3)
+    score = likeness(descriptors, 0.8, seed=3)
 
-    assert torch.equal(score, likeness(descriptors, seed=3))
+    assert torch.equal(score, likeness(descriptors, 0.8, seed=3))
     assert float(score[-1].abs().max()) == 0.0
-    torch.testing.assert_close(score.diagonal()[:-1], torch.ones(30))
+    assert torch.equal(score, score.T)
 
 
-def test_photographs_without_any_descriptor_are_alike_in_nothing():
-    assert torch.equal(likeness([torch.zeros(0, 32)] * 3), torch.zeros(3, 3))
+@pytest.mark.parametrize("count", [2, 100, 300])
+def test_the_share_of_first_keypoints_is_that_which_matching_finds(draw, count):
+    descriptors = [one.repeat(5, 1)[:count] + 0.02 * draw.normal(count, 32).float() for one in _descriptors(draw, 4)]
+    descriptors = [torch.nn.functional.normalize(one, dim=-1) for one in descriptors]
+
+    found = share_of_first(descriptors, torch.tensor([0, 1]), torch.tensor([1, 3]), 0.9)
+
+    wanted = [match(*(descriptors[i][:FIRST] for i in pair), MatchOptions(0.9)) for pair in ((0, 1), (1, 3))]
+    assert (found * FIRST).tolist() == [len(one) for one in wanted]
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_photographs_with_next_to_no_descriptors_are_alike_in_nothing(count):
+    score = likeness([torch.nn.functional.normalize(torch.ones(count, 32), dim=-1)] * 3, 0.8)
+
+    assert float(score.abs().max()) <= COSINE
 
 
 def test_what_is_aggregated_is_that_of_the_definition(draw):

@@ -1,36 +1,65 @@
-"""Photographs that look alike as a whole: vectors of locally aggregated descriptors (VLAD; Jégou et al., CVPR 2010),
-normalised as Arandjelović & Zisserman (CVPR 2013), by words that are learnt from these photographs."""
+"""Photographs that look alike: first as a whole, by vectors of locally aggregated descriptors (VLAD; Jégou et al., CVPR
+2010; normalised as Arandjelović & Zisserman, CVPR 2013) with words that are learnt from these photographs; those that
+are the most alike so by their first keypoints, which are matched (as Wu, 3DV 2013)."""
 
 from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.nn.functional import normalize
+from torch.nn.functional import normalize, pad
 
+from torchrefrac.features.pairs import best_partners, pairs_of
 from torchrefrac.numerics import segment_sum
 
-WORDS = 128
-SAMPLE = 32_768
+WORDS = 256
+SAMPLE = 65_536
 """Descriptors of all photographs together that words are learnt from."""
 ROUNDS = 12
-MANY = 128
-"""Photographs, from which on their common variation is known well enough to be taken out; KEPT: times fewer
-directions, those of most variance, are left then."""
-KEPT = 2
+FIRST = 256
+"""Keypoints of a photograph that are matched first: the strongest, or the largest, which others show most often, too.
+That takes a thousandth of the time of all."""
+TRIED = 100  # partners of each photograph whose first keypoints are matched
+BATCH = 64  # pairs at a time
+COSINE = 1e-3
+"""Of the whole photographs, times which it counts beside the share of first keypoints that match."""
 
 
-def likeness(descriptors: Sequence[Float[Tensor, "_ d"]], seed: int = 0) -> Float[Tensor, "m m"]:
-    """Cosines between what is aggregated of the descriptors of each photograph: the higher the more alike.
+def likeness(descriptors: Sequence[Float[Tensor, "_ d"]], ratio: float, seed: int = 0) -> Float[Tensor, "m m"]:
+    """How much alike photographs are: the share of their first keypoints that match, of those that are the most alike
+    as a whole, and a little for how alike these are. From -COSINE to 1 + COSINE.
 
-    A photograph without descriptors is like no other. Deterministic for a seed.
+    ratio: see `MatchOptions`. A photograph without descriptors is like no other. Deterministic for a seed.
     """
     if not any(map(len, descriptors)):
         return torch.zeros(len(descriptors), len(descriptors))
     words = learn_words(descriptors, seed)
     vectors = torch.stack([aggregated(of_image, words) for of_image in descriptors])
-    vectors = whitened(vectors) if len(vectors) >= MANY else vectors
-    return vectors @ vectors.T
+    cosine = vectors @ vectors.T
+    first, second = pairs_of(best_partners(cosine, TRIED)).T
+    share = share_of_first(descriptors, first, second, ratio)
+    alike = COSINE * cosine
+    return alike.index_put((first, second), share, accumulate=True).index_put((second, first), share, accumulate=True)
+
+
+def share_of_first(
+    descriptors: Sequence[Float[Tensor, "_ d"]], first: Int[Tensor, " p"], second: Int[Tensor, " p"], ratio: float
+) -> Float[Tensor, " p"]:
+    """Of pairs of photographs, the share of FIRST keypoints of the first that match some of the second."""
+    chosen = [of_image[:FIRST] for of_image in descriptors]
+    most = max(2, *map(len, chosen))
+    some = torch.stack([pad(of_image, (0, 0, 0, most - len(of_image))) for of_image in chosen])
+    batches = zip(first.split(BATCH), second.split(BATCH), strict=True)
+    return torch.cat([_matching(some[i] @ some[j].mT, ratio) for i, j in batches]) / FIRST
+
+
+def _matching(similarity: Float[Tensor, "p n n"], ratio: float) -> Float[Tensor, " p"]:
+    """How many rows have a match (see `match`) in each pair."""
+    two, nearest = similarity.topk(2, dim=-1)
+    squared = (2.0 - 2.0 * two).clamp(min=0.0)
+    distinct = squared[..., 0] < ratio**2 * squared[..., 1]
+    mutual = two[..., 0] >= similarity.amax(dim=-2).gather(-1, nearest[..., 0])
+    return (distinct & mutual).to(similarity).sum(dim=-1)
 
 
 def learn_words(descriptors: Sequence[Float[Tensor, "_ d"]], seed: int) -> Float[Tensor, "words d"]:
@@ -60,12 +89,3 @@ def aggregated(descriptors: Float[Tensor, "k d"], words: Float[Tensor, "words d"
     total = total - torch.bincount(word, minlength=len(words))[:, None] * words
     vector = normalize(total, dim=1).flatten()
     return normalize(vector.sign() * vector.abs().sqrt(), dim=0)
-
-
-def whitened(vectors: Float[Tensor, "m size"]) -> Float[Tensor, "m kept"]:
-    """Along the principal axes of these vectors, each of variance one, and of length one again; those of the least
-    variance are left out."""
-    about = vectors - vectors.mean(dim=0)
-    variance, axes = torch.linalg.eigh((about @ about.T).double())
-    kept = len(vectors) // KEPT
-    return normalize(axes[:, -kept:] * (variance[-kept:] > 0.0), dim=1).to(vectors.dtype)

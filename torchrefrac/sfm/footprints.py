@@ -92,7 +92,7 @@ class Footprints:
     def of(
         cls, capture: Capture, height: Float[Tensor, " m"], rows: Int[Tensor, " k"], sigmas: float = 0.0
     ) -> "Footprints":
-        """Of images `rows` with positions, gravity and a `height` above the ground, larger by so many `sigmas` of these.
+        """Of images `rows` with positions, gravity and a `height` above the ground, larger by so many `sigmas`.
         Without a compass heading an image shows a disc: all that it may show if it is turned about the vertical."""
         turned, height = capture.has_heading[rows], height[rows]
         heading = torch.where(turned, capture.heading[rows], 0.0)
