@@ -73,6 +73,7 @@ def _benches(data: Path, ceres: Path | None) -> dict[str, list[str]]:
         "correct": [],
         "tracks": [],
         "matching": [],
+        "pairs": [],
     }
     if photographs.is_dir():
         benches["photographs"] = [str(photographs)]

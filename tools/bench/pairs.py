@@ -19,12 +19,12 @@ from pathlib import Path
 
 import torch
 from baseline import bench_parser, figure
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchrefrac.commands.pairs import ChosenPairs, choose_pairs
 from torchrefrac.features import Features, MatchOptions, SiftOptions, extract_sift, match
-from torchrefrac.features.pairs import every_pair, pairs_of
+from torchrefrac.features.pairs import best_partners, every_pair, pairs_of
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.survey import SURVEY, read_survey
 from torchrefrac.files.truth import load_truth_points
@@ -53,11 +53,12 @@ def main() -> None:
     assert truth is not None
     features = [extract_sift(path, SiftOptions(max_features=options.keypoints)) for path in capture.paths]
     start = time.process_time()
-    true = _true_pairs(features, truth)
+    true = _true_matches(features, truth)
     _show(capture, features, true, time.process_time() - start)
 
 
-def _show(capture: Capture, features: Sequence[Features], true: Bool[Tensor, "m m"], seconds: float) -> None:
+def _show(capture: Capture, features: Sequence[Features], matches: Int[Tensor, "m m"], seconds: float) -> None:
+    true = matches >= ENOUGH
     count, partners = int(true.sum()) // 2, true.sum(dim=1)
     pairs = len(capture) * (len(capture) - 1) // 2
     print(
@@ -80,8 +81,11 @@ def _show(capture: Capture, features: Sequence[Features], true: Bool[Tensor, "m 
         "sequence": (nowhere, "sequence"),
     }
     print(f"{'':<32} {'pairs':>6} {'of all':>7} {'recall':>8} {'choosing':>9}")
+    best = pairs_of(best_partners(torch.where(true, matches, 0).double(), MatchOptions().per_image, above=0.0))
+    chosen_by = {"the most matches": (ChosenPairs(best, "truth", len(capture)), 0.0)}
     for name, (stated, way) in ways.items():
-        chosen, spent = _timed(lambda s=stated, w=way: choose_pairs(s, features, MatchOptions(pairs=w), 0))
+        chosen_by[name] = _timed(lambda s=stated, w=way: choose_pairs(s, features, MatchOptions(pairs=w), 0))
+    for name, (chosen, spent) in chosen_by.items():
         first, second = chosen.pairs.T
         recall = float(true[first, second].sum()) / count
         share = len(chosen.pairs) / pairs
@@ -96,14 +100,15 @@ def _timed(choose: Callable[[], ChosenPairs]) -> tuple[ChosenPairs, float]:
     return chosen, time.process_time() - start
 
 
-def _true_pairs(features: Sequence[Features], truth: TruthPoints) -> Bool[Tensor, "m m"]:
+def _true_matches(features: Sequence[Features], truth: TruthPoints) -> Int[Tensor, "m m"]:
+    """How many of each pair."""
     shown = [_places(of_image, truth, image) for image, of_image in enumerate(features)]
-    true = torch.zeros(len(features), len(features), dtype=torch.bool)
+    count = torch.zeros(len(features), len(features), dtype=torch.long)
     for i, j in pairs_of(every_pair(len(features))).tolist():
         matches = match(features[i].descriptors, features[j].descriptors, MatchOptions())
         apart = (shown[i][matches[:, 0]] - shown[j][matches[:, 1]]).norm(dim=-1)
-        true[i, j] = true[j, i] = int((apart < APART).sum()) >= ENOUGH
-    return true
+        count[i, j] = count[j, i] = (apart < APART).sum()
+    return count
 
 
 def _places(features: Features, truth: TruthPoints, image: int) -> Float[Tensor, "k 3"]:
