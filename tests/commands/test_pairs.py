@@ -1,5 +1,6 @@
 """Which pairs are matched, by what is stated and by what photographs look like."""
 
+import re
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -141,10 +142,12 @@ def test_a_file_lists_them(line, tmp_path):
 
     assert chosen.pairs.tolist() == [[0, 2], [1, 3]]
     assert chosen.metrics == {"pairs_matched": 2, "pairs_possible": 10, "pairs_by": "file"}
-    with pytest.raises(
-        CaptureError, match=r"nothing\.txt does not exist, but must be a list of the names of two images"
-    ):
-        choose_pairs(*line(5), MatchOptions(pairs="nothing.txt"), 0)
+    path.write_text("DJI_0003.jpg DJI_0009.jpg\n", encoding="utf-8")
+    with pytest.raises(CaptureError, match=r"line 1 names DJI_0009\.jpg, which is no image here"):
+        choose_pairs(*line(5), MatchOptions(pairs=str(path)), 0)
+    wanted = "matching.pairs is 'nearest', but must be auto, exhaustive, positions, sequence, retrieval, or a file"
+    with pytest.raises(OptionError, match=re.escape(wanted)):
+        choose_pairs(*line(5), MatchOptions(pairs="nearest"), 0)
 
 
 def test_positions_that_are_not_stated_are_refused(line):

@@ -43,11 +43,24 @@ class ChosenPairs:
         return {"pairs_matched": len(self.pairs), "pairs_possible": self.possible, "pairs_by": self.by}
 
 
+def require_pairs(capture: Capture, options: MatchOptions) -> None:
+    """Raise CaptureError for a list of pairs that cannot be used, OptionError for what is neither a file nor a way, and
+    for positions where none is stated."""
+    if options.pairs not in WAYS:
+        if not Path(options.pairs).is_file():
+            known = ", ".join(WAYS)
+            raise OptionError(f"matching.pairs is {options.pairs!r}, but must be {known}, or a file that lists pairs")
+        read_match_list(Path(options.pairs), capture.names)
+    elif options.pairs == POSITIONS and not bool(has_position(capture).any()):
+        raise OptionError(f"matching.pairs is {POSITIONS}, but no photograph has one; try {RETRIEVAL} or {SEQUENCE}")
+
+
 def choose_pairs(capture: Capture, features: Sequence[Features], options: MatchOptions, seed: int) -> ChosenPairs:
     """Which pairs to match, as `options.pairs` says. All photographs hang together by them, unless a file lists them.
 
-    Raises CaptureError for a file that cannot be used, OptionError for positions where none is stated.
+    Raises what `require_pairs` raises.
     """
+    require_pairs(capture, options)
     count, ways = len(capture), _automatic(capture) if options.pairs == AUTO else (options.pairs,)
     if ways == (EXHAUSTIVE,):
         return ChosenPairs(pairs_of(every_pair(count)), EXHAUSTIVE, count)
@@ -60,10 +73,6 @@ def choose_pairs(capture: Capture, features: Sequence[Features], options: MatchO
         score = UNLIKELY + alike
         chosen = _by_looks(alike, ways, known, options.per_image)
     if POSITIONS in ways:
-        if not bool(known.any()):
-            raise OptionError(
-                f"matching.pairs is {POSITIONS}, but no photograph has one; try {RETRIEVAL} or {SEQUENCE}"
-            )
         stated = position_scores(capture)
         chosen = chosen | best_partners(stated, options.per_image, above=NO_OVERLAP)
         score = torch.maximum(score, stated)

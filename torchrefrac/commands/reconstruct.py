@@ -12,7 +12,7 @@ import torch
 from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
-from torchrefrac.commands.pairs import choose_pairs
+from torchrefrac.commands.pairs import choose_pairs, require_pairs
 from torchrefrac.commands.photographs import extract, match_pairs
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.commands.survey_products import require_place
@@ -85,6 +85,7 @@ def reconstruct(
     survey = survey or survey_of(capture, options)
     capture = facing_wall(with_measured(capture, survey))
     check_levels(survey, capture)
+    require_pairs(capture, options.matching)
     recorder = recorder or SilentRecorder()
     stage = _Stages(on_stage)
     generator = torch.Generator().manual_seed(options.seed)
