@@ -18,7 +18,7 @@ SAMPLE = 65_536
 ROUNDS = 12
 FIRST = 256
 """Keypoints of a photograph that are matched first: the strongest, or the largest, which others show most often, too.
-That takes a thousandth of the time of all."""
+That takes 0.4 ms a pair, and all of 8192 keypoints 250."""
 TRIED = 100  # partners of each photograph whose first keypoints are matched
 BATCH = 64  # pairs at a time
 COSINE = 1e-3
