@@ -29,6 +29,7 @@ def test_a_run_leaves_the_promised_files_and_a_right_reconstruction(complete_run
     found = metrics(run)
     assert found["status"] == "complete"
     assert found["stages"] == ["features", "matching", "sparse"]
+    assert (found["pairs_matched"], found["pairs_possible"], found["pairs_by"]) == (6, 6, "exhaustive")
     assert found["registered_images"] == 4
     assert found["camera_rms_cm"] < 0.05
     assert found["surface_median_cm"] < 0.1

@@ -79,3 +79,19 @@ def test_without_a_nearest_and_a_second_nearest_there_are_no_matches(first, seco
 
     assert found.shape == (0, 2)
     assert found.dtype == torch.long
+
+
+@pytest.mark.parametrize(("first", "second"), [(3, 2), (40, 129), (700, 1030), (513, 2300)])
+def test_ties_and_any_sizes_are_matched_as_a_look_at_the_whole_matrix_says(draw, first, second):
+    """Descriptors of few whole numbers, of which many are equal: their products are exact, however they are summed."""
+    descriptors = [draw.uniform(0.0, 3.0, count, 6).round().float() / 8.0 for count in (first, second)]
+
+    found = match(*descriptors, MatchOptions(1.0))
+
+    similarity = descriptors[0] @ descriptors[1].T
+    two = similarity.topk(2, dim=1)
+    distance = (2.0 - 2.0 * two.values).clamp(min=0.0)
+    first_best = similarity.max(dim=0).indices  # of equal ones the first
+    target = two.indices[:, 0]
+    mutual = (first_best[target] == torch.arange(first)) & (distance[:, 0] < distance[:, 1])
+    assert found.tolist() == torch.stack((torch.arange(first), target), dim=-1)[mutual].tolist()

@@ -72,6 +72,8 @@ def _benches(data: Path, ceres: Path | None) -> dict[str, list[str]]:
         "rendering": [],
         "correct": [],
         "tracks": [],
+        "matching": [],
+        "pairs": [],
     }
     if photographs.is_dir():
         benches["photographs"] = [str(photographs)]

@@ -14,7 +14,8 @@ import torch
 
 from torchrefrac.atomic import replacing
 from torchrefrac.commands.densify import dense_stage, open_run
-from torchrefrac.commands.photographs import extract, match_all
+from torchrefrac.commands.pairs import choose_pairs
+from torchrefrac.commands.photographs import extract, match_pairs
 from torchrefrac.commands.results import OutRefusedError, results_in
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.config import DensifyOptions, OptionError, Options
@@ -111,7 +112,8 @@ def _densified(job: Frame, place: Path) -> dict[str, Any]:
     about = {"model": "refractive", "capture": str(real_path(scene.capture.folder)), "cameras_of": str(run.folder)}
     with files.recording(**about):
         features = extract(scene.capture, usual, silent)
-        matches = match_all(features, usual, silent)
+        chosen = choose_pairs(scene.capture, features, usual.matching, usual.seed)
+        matches = match_pairs(features, chosen, usual.matching, silent)
         rules = Rules(max_error=usual.sfm.max_error, min_angle_deg=usual.sfm.min_angle_deg, bundle=usual.sfm.bundle)
         found = points_of_photographs(scene, features, matches, rules)
         files.stage_done("sparse", found, 0.0)

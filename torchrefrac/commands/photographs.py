@@ -1,9 +1,11 @@
 """Keypoints of the photographs of a capture, and which of them look alike."""
 
-from itertools import combinations
+from collections.abc import Sequence
 
+from torchrefrac.commands.pairs import ChosenPairs
 from torchrefrac.config import Options
-from torchrefrac.features import Features, PairMatches, extract_sift, match
+from torchrefrac.features import Features, MatchOptions, PairMatches, extract_sift, match
+from torchrefrac.features.matching import EXHAUSTIVE
 from torchrefrac.files.masks import Masks
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture
@@ -18,10 +20,13 @@ def extract(capture: Capture, options: Options, recorder: Recorder) -> list[Feat
     return [extract_sift(path, how, masks.used(i)) for i, path in enumerate(paths)]
 
 
-def match_all(features: list[Features], options: Options, recorder: Recorder) -> list[PairMatches]:
-    """Matches of every pair of photographs."""
-    every = list(combinations(range(len(features)), 2))
+def match_pairs(
+    features: Sequence[Features], chosen: ChosenPairs, options: MatchOptions, recorder: Recorder
+) -> list[PairMatches]:
+    """Matches of the pairs that were chosen."""
+    if chosen.by != EXHAUSTIVE:
+        recorder.note(f"{len(chosen.pairs)} of {chosen.possible} pairs are matched, chosen by {chosen.by}")
     return [
-        PairMatches(i, j, match(features[i].descriptors, features[j].descriptors, options.matching))
-        for i, j in recorder.track(every, len(every), "matching", "pair")
+        PairMatches(i, j, match(features[i].descriptors, features[j].descriptors, options))
+        for i, j in recorder.track(chosen.pairs.tolist(), len(chosen.pairs), "matching", "pair")
     ]

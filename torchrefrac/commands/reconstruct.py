@@ -12,7 +12,8 @@ import torch
 from torchrefrac.bundle.rows import INTRINSICS
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.commands.densify import dense_stage
-from torchrefrac.commands.photographs import extract, match_all
+from torchrefrac.commands.pairs import choose_pairs, require_pairs
+from torchrefrac.commands.photographs import extract, match_pairs
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.commands.survey_products import require_place, require_surface
 from torchrefrac.config import Options, WaterOptions
@@ -74,20 +75,22 @@ def reconstruct(
     survey: what was measured on site, by default what the file `options.survey` says, or the survey.json beside the
     capture.json, if there is one; `Survey.empty(capture.names)` for none.
 
-    `on_stage(name, product, seconds)` hears of every finished stage: "features" (list of Features), "levelling" (the
-    capture with estimated verticals; only where gravity of any image is unknown and refraction can show it), "matching"
-    (list of VerifiedPair), "sparse" (Scene). Deterministic for given options. Raises ReconstructionError when no two
-    images can be related, or no pair shows which way is down; SurveyError for a file that cannot be used.
+    `on_stage(name, product, seconds)` hears of every finished stage: "features" (list of Features), "pairs"
+    (ChosenPairs, which are matched; a part of matching), "levelling" (the capture with estimated verticals; only where
+    gravity of any image is unknown and refraction can show it), "matching" (list of VerifiedPair), "sparse" (Scene).
+    Deterministic for given options. Raises ReconstructionError when no two images can be related, or no pair shows
+    which way is down; OptionError, CaptureError and SurveyError for what `options` name and cannot be used.
     """
     options = options or Options()
     survey = survey or survey_of(capture, options)
     capture = _prepared(capture, survey)
+    require_pairs(capture, options.matching)
     recorder = recorder or SilentRecorder()
     stage = _Stages(on_stage)
     generator = torch.Generator().manual_seed(options.seed)
 
     features = stage("features", lambda: extract(capture, options, recorder))
-    matches = stage.part("matching", lambda: match_all(features, options, recorder))
+    matches = stage.part("matching", lambda: _matched(capture, features, options, recorder, stage))
     ratio, stated = options.water.ratio_of(capture.index_ratio), capture
     if options.model.name == "refractive" and ratio > 1.0 and not capture.interfaces.move_with_camera:
         known = matches, features, ratio, options.sfm
@@ -229,6 +232,15 @@ class _Stages:
         if self._hook is not None:
             self._hook(name, product, self._seconds[name])
         return product
+
+
+def _matched(
+    capture: Capture, features: list[Features], options: Options, recorder: Recorder, stage: _Stages
+) -> list[PairMatches]:
+    """Matches of those pairs that are worth it."""
+    chosen = choose_pairs(capture, features, options.matching, options.seed)
+    stage("pairs", lambda: chosen)
+    return match_pairs(features, chosen, options.matching, recorder)
 
 
 def _initializer(

@@ -69,7 +69,11 @@ class RunFolder:
         RunRecord.of(self.folder, self.metrics).write()
 
     def stage_done(self, name: str, product: Any, seconds: float) -> None:
-        """Write what a stage made."""
+        """Write what a stage made; which pairs are matched is a part of matching."""
+        if name == "pairs":
+            self.metrics |= product.metrics
+            self.save_metrics()
+            return
         if name == "features":
             pixels = {f"pixels_{i:04d}": found.pixels for i, found in enumerate(product)}
             _write_arrays(pixels, self.folder / "features.npz")
