@@ -14,6 +14,7 @@ from torchrefrac.features.matching import AUTO, EXHAUSTIVE, POSITIONS, RETRIEVAL
 from torchrefrac.features.pairs import best_partners, connected, every_pair, in_sequence, pairs_of, show_order
 from torchrefrac.files.match_list import read_match_list
 from torchrefrac.scene import Capture
+from torchrefrac.scene.interfaces import SURFACE
 from torchrefrac.sfm.footprints import NO_OVERLAP, has_position, position_scores
 
 FEW = 40
@@ -84,7 +85,7 @@ def choose_pairs(capture: Capture, features: Sequence[Features], options: MatchO
 def _automatic(capture: Capture) -> tuple[str, ...]:
     if len(capture) < FEW:
         return (EXHAUSTIVE,)
-    if bool(has_position(capture).any()):
+    if set(capture.interfaces.kinds) == {SURFACE} and bool(has_position(capture).any()):
         return POSITIONS, RETRIEVAL
     return (RETRIEVAL, SEQUENCE) if show_order(capture.names) else (RETRIEVAL,)
 
