@@ -3,6 +3,7 @@
 Models are refined in stages, from a wide limit of the errors to a narrow one.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
@@ -22,6 +23,7 @@ LAST_ITERATIONS = 6
 LEAST_LIMIT = 0.05
 LEAST_SHARE = 0.99  # of the inliers of its start, below which a refinement has left their consensus
 TILT_PX = 20.0
+MISMATCHES = 4096  # wrong matches, at least, that show how many agree with a model by chance
 
 Stages = Sequence[tuple[float, int]]
 """How far max_error is widened, and the iterations."""
@@ -41,6 +43,8 @@ class PoseData(Protocol):
     def rows(self, rows: Shaped[Tensor, " some"]) -> "PoseData": ...
 
     def single(self) -> "PoseData": ...
+
+    def mismatched(self, shift: int) -> "PoseData": ...
 
     def squared_errors(self, models: Float[Tensor, "k d"]) -> Float[Tensor, "k n"]: ...
 
@@ -105,6 +109,13 @@ class PoseEstimator(Generic[D]):
             refined = data.refine(found.models, tightened(found.squared_errors, max_error), LAST_ITERATIONS).states
             found = found.unless_fewer_agree(_Judged.of(data, refined), max_error)
         return found.models, data.costs(found.models, max_error)
+
+    def chance(self, model: Float[Tensor, " d"], max_error: float) -> float:
+        """The share of wrong data that agree with a model: of what is seen here and there, put together wrongly."""
+        count = len(self.data)
+        shifts = range(1, min(count, 1 + math.ceil(MISMATCHES / count)))
+        wrong = [self._single.mismatched(shift).squared_errors(model.float()[None]) for shift in shifts]
+        return float((torch.cat(wrong) < max_error * max_error).double().mean())
 
 
 class RelativePoseEstimator(PoseEstimator[TwoViews]):

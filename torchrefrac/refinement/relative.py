@@ -63,6 +63,10 @@ class TwoViews:
         """The same in single precision: enough to tell hypotheses apart."""
         return replace(self, **{name: getattr(self, name).float() for name in TENSORS})
 
+    def mismatched(self, shift: int) -> "TwoViews":
+        """Wrong matches of the same pixels: each first one with the second one `shift` matches before."""
+        return replace(self, plane2=self.plane2.roll(shift, dims=0))
+
     def errors(self, models: Models) -> EpipolarError:
         """Epipolar errors in pixels, and the depths at which the rays meet."""
         return epipolar_error(*self.views(models), self.index_ratio)
