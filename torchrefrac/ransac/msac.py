@@ -17,9 +17,9 @@ from torch import Tensor
 from torchrefrac.checks import Range, require_ranges
 
 SCORE_ELEMENTS = 1 << 15
-HOPELESS, BY_CHANCE = 0.01, 0.01
-"""Up to which probability a sample without outliers was missed when a search is given up, and from which one on as many
-inliers as the best model has are what wrong data reach by chance."""
+HOPELESS_RATIO, MISSED = 0.4, 0.01
+"""Share of inliers at which data that do not look promising are given up, and the probability that a good enough sample
+was missed there. Where as many are right, data look promising anyway: this is for those few that do not."""
 
 Status = Literal["success", "too_few_data", "no_consensus", "degenerate"]
 
@@ -38,6 +38,12 @@ class Estimator(Protocol):
         """How many samples without outliers it takes, on average, for one that is good enough to be optimised."""
         ...
 
+    @property
+    def is_promising(self) -> bool:
+        """Whether more data look right, before any model is known, than wrong ones do by chance. True where nothing can
+        be seen without a model."""
+        ...
+
     def solve(self, samples: Int[Tensor, "s size"]) -> tuple[Float[Tensor, "s m d"], Bool[Tensor, "s m"]]:
         """Candidates of minimal samples: models, valid."""
         ...
@@ -53,10 +59,6 @@ class Estimator(Protocol):
 
         thorough: to convergence; otherwise as far as it takes to tell good starts from bad.
         """
-        ...
-
-    def chance(self, model: Float[Tensor, " d"], max_error: float) -> float:
-        """The share of wrong data that agree with a model within max_error."""
         ...
 
     def degeneracy(self, model: Float[Tensor, " d"], inliers: Bool[Tensor, " n"]) -> str:
@@ -120,18 +122,14 @@ class RansacReport:
         return int(self.inliers.sum())
 
 
-def ransac(
-    estimator: Estimator, options: RansacOptions, generator: torch.Generator, hopeless_ratio: float = 0.0
-) -> RansacReport:
+def ransac(estimator: Estimator, options: RansacOptions, generator: torch.Generator) -> RansacReport:
     """Find the model that most data agree with.
 
     Deterministic for a given state of `generator`. Fails with a status, not with a model: "too_few_data";
     "no_consensus", fewer than min_inliers data agree; "degenerate", they agree but do not determine it. Drawing ends
     when so many samples were drawn that with `confidence` a good enough one was among them, at the best inlier ratio
-    so far, or at that of the fewest inliers that are enough, if that is higher: with few data, chance ends soon.
-
-    hopeless_ratio: drawing also ends where the best model has no more inliers than wrong data reach by chance, once a
-    sample without outliers is unlikely to have been missed at this share of inliers.
+    so far, or at that of the fewest inliers that are enough, if that is higher: with few data, chance ends soon. Data
+    that do not look promising are given up much earlier, if the first batch has found nothing in them.
     """
     needed = max(estimator.sample_size + 1, options.min_inliers)
     if estimator.num_data < needed:
@@ -140,11 +138,8 @@ def ransac(
         return RansacReport("too_few_data", torch.zeros(0), nothing, math.inf, 0, detail)
     search = _Search(estimator, options, generator, needed)
     size = options.batch_size
-    enough = search.samples_at(hopeless_ratio, 1.0 - HOPELESS)
-    while (left := min(search.wanted, options.max_samples) - search.drawn) > 0:
-        if search.drawn >= enough and search.is_by_chance:
-            break
-        search.batch(min(size, left if search.drawn >= enough else min(left, enough - search.drawn)))
+    while (left := search.left) > 0:
+        search.batch(min(size, left))
         size = min(2 * size, options.max_batch_size)
     return search.report(needed)
 
@@ -155,14 +150,21 @@ class _Search:
     def __init__(self, estimator: Estimator, options: RansacOptions, generator: torch.Generator, needed: int) -> None:
         self.estimator, self.options, self.generator = estimator, options, generator
         self.least = needed / estimator.num_data
-        self.drawn, self.wanted = 0, max(self.samples_at(self.least), options.batch_size)
-        self.num_models = 0
+        self.drawn, self.wanted = 0, max(self._samples_at(self.least, options.confidence), options.batch_size)
         self.model = torch.zeros(0)
         self.inliers = torch.zeros(estimator.num_data, dtype=torch.bool)
         self.cost = self.screened_cost = math.inf
         self.rows: Int[Tensor, " n"] | None = None
         if estimator.num_data > 2 * options.screening_size:
             self.rows = torch.randperm(estimator.num_data, generator=generator)[: options.screening_size]
+
+    @property
+    def left(self) -> int:
+        """How many samples are still to be drawn."""
+        left = min(self.wanted, self.options.max_samples) - self.drawn
+        if left <= 0 or self.drawn == 0 or self.estimator.is_promising:
+            return left
+        return min(left, self._samples_at(HOPELESS_RATIO, 1.0 - MISSED) - self.drawn)
 
     def batch(self, count: int) -> None:
         """Draw, solve, screen; optimise the leaders, and the best of them on all data if none before was as good."""
@@ -171,7 +173,6 @@ class _Search:
         models, valid = estimator.solve(samples)
         self.drawn += count
         models = models[valid]
-        self.num_models += len(models)
         if not len(models):
             return
         scores = self._scores(models)
@@ -184,28 +185,6 @@ class _Search:
         best, costs = estimator.optimize(leaders[index][None], self.options.max_error, None, thorough=True)
         if float(costs[0]) < self.cost:
             self._take(best[0], float(costs[0]))
-
-    def samples_at(self, ratio: float, confidence: float | None = None) -> int:
-        """How many samples are enough, with `confidence` or another, where this share of the data are inliers."""
-        confidence = self.options.confidence if confidence is None else confidence
-        hits = ratio**self.estimator.sample_size / self.estimator.samples_per_hit
-        if hits >= 1.0:
-            return 0
-        if hits <= 0.0:  # nothing is known of the vertical
-            return self.options.max_samples
-        return min(math.ceil(math.log(1.0 - confidence) / math.log1p(-hits)), self.options.max_samples)
-
-    @property
-    def is_by_chance(self) -> bool:
-        """Whether the best of as many models is likely to have as many inliers where all data are wrong.
-
-        Those that agree with a model by chance are about Poisson distributed; as many as it has unknowns were fitted.
-        """
-        if not len(self.model):
-            return True
-        free = int(self.inliers.sum()) - len(self.model)
-        expected = self.estimator.num_data * self.estimator.chance(self.model, self.options.max_error)
-        return free <= 0 or self.num_models * _poisson_tail(free, expected) > BY_CHANCE
 
     def report(self, needed: int) -> RansacReport:
         count = int(self.inliers.sum())
@@ -232,12 +211,16 @@ class _Search:
     def _take(self, model: Float[Tensor, " d"], cost: float) -> None:
         self.model, self.cost = model, cost
         self.inliers = self.estimator.squared_errors(model[None], None)[0] < self.options.max_error**2
-        self.wanted = self.samples_at(max(float(self.inliers.double().mean()), self.least))
+        self.wanted = self._samples_at(max(float(self.inliers.double().mean()), self.least), self.options.confidence)
 
-def _poisson_tail(count: int, expected: float) -> float:
-    """Probability of `count` >= 1 events or more where so many are expected."""
-    at, mean = torch.tensor((count, expected), dtype=torch.float64)
-    return float(torch.special.gammainc(at, mean))
+    def _samples_at(self, ratio: float, confidence: float) -> int:
+        """How many samples are enough, with this confidence, where this share of the data are inliers."""
+        hits = ratio**self.estimator.sample_size / self.estimator.samples_per_hit
+        if hits >= 1.0:
+            return 0
+        if hits <= 0.0:  # nothing is known of the vertical
+            return self.options.max_samples
+        return min(math.ceil(math.log(1.0 - confidence) / math.log1p(-hits)), self.options.max_samples)
 
 
 def draw_samples(count: int, num_data: int, size: int, generator: torch.Generator) -> Int[Tensor, "{count} {size}"]:

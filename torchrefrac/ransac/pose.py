@@ -3,8 +3,8 @@
 Models are refined in stages, from a wide limit of the errors to a narrow one.
 """
 
-import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import torch
@@ -16,6 +16,7 @@ from torchrefrac.minimal.absolute_pose import unchecked_absolute_pose_2pt
 from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt
 from torchrefrac.minimal.known_heading import unchecked_absolute_pose_known_heading, unchecked_relative_pose_3pt
 from torchrefrac.optim import SmallReport
+from torchrefrac.ransac.coherence import are_coherent
 from torchrefrac.ransac.degeneracy import explain_absolute, explain_relative
 from torchrefrac.refinement import OneView, TwoViews
 
@@ -23,7 +24,6 @@ LAST_ITERATIONS = 6
 LEAST_LIMIT = 0.05
 LEAST_SHARE = 0.99  # of the inliers of its start, below which a refinement has left their consensus
 TILT_PX = 20.0
-MISMATCHES = 4096  # wrong matches, at least, that show how many agree with a model by chance
 
 Stages = Sequence[tuple[float, int]]
 """How far max_error is widened, and the iterations."""
@@ -43,8 +43,6 @@ class PoseData(Protocol):
     def rows(self, rows: Shaped[Tensor, " some"]) -> "PoseData": ...
 
     def single(self) -> "PoseData": ...
-
-    def mismatched(self, shift: int) -> "PoseData": ...
 
     def squared_errors(self, models: Float[Tensor, "k d"]) -> Float[Tensor, "k n"]: ...
 
@@ -110,13 +108,6 @@ class PoseEstimator(Generic[D]):
             found = found.unless_fewer_agree(_Judged.of(data, refined), max_error)
         return found.models, data.costs(found.models, max_error)
 
-    def chance(self, model: Float[Tensor, " d"], max_error: float) -> float:
-        """The share of wrong data that agree with a model: of what is seen here and there, put together wrongly."""
-        count = len(self.data)
-        shifts = range(1, min(count, 1 + math.ceil(MISMATCHES / count)))
-        wrong = [self._single.mismatched(shift).squared_errors(model.float()[None]) for shift in shifts]
-        return float((torch.cat(wrong) < max_error * max_error).double().mean())
-
 
 class RelativePoseEstimator(PoseEstimator[TwoViews]):
     """Models are those of `TwoViews`: tilts of both cameras (4), heading and centre of the second, relative to the
@@ -141,6 +132,11 @@ class RelativePoseEstimator(PoseEstimator[TwoViews]):
     def sample_size(self) -> int:
         return 4 if self.data.known_heading is None else 3
 
+    @cached_property
+    def is_promising(self) -> bool:
+        """Whether neighbours in one image are neighbours in the other more often than in wrong matches."""
+        return are_coherent(self.data.plane1, self.data.plane2)
+
     def solve(self, samples: Int[Tensor, "s size"]) -> tuple[Float[Tensor, "s m 8"], Bool[Tensor, "s m"]]:
         rays1, rays2 = self._rays1[samples], self._rays2[samples]
         index, height = self.data.index_ratio, self.data.height
@@ -164,6 +160,7 @@ class AbsolutePoseEstimator(PoseEstimator[OneView]):
     """
 
     sample_size = 2
+    is_promising = True
     quick, thorough = ((4.0, 2), (1.0, 2)), ((1.0, 12),)
 
     def __init__(self, view: OneView) -> None:

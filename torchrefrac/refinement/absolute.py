@@ -57,10 +57,6 @@ class OneView:
         """The same in single precision: enough to tell hypotheses apart."""
         return replace(self, **{name: getattr(self, name).float() for name in TENSORS})
 
-    def mismatched(self, shift: int) -> "OneView":
-        """Wrong ones: at each place in the image the point `shift` places before."""
-        return replace(self, points=self.points.roll(shift, dims=0))
-
     def poses(self, models: Models) -> tuple[Float[Tensor, "h 3 3"], Float[Tensor, "h 3"]]:
         """Rotations cam_from_world and centres."""
         return tilted_rotation(self.cam_from_level, models[:, TILT], models[:, HEADING]), models[:, CENTER]

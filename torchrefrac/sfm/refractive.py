@@ -14,10 +14,6 @@ from torchrefrac.scene import Capture
 from torchrefrac.sfm.pose import PairPose, Pixels, Pose, judge_pair
 from torchrefrac.sfm.rules import SfmOptions
 
-HOPELESS_RATIO = 0.3
-"""Share of inliers at which a pair is given up that shows no more of them than wrong matches do by chance: pairs that
-overlap have more of them in common, and those that do not are most pairs of a large survey."""
-
 THICK = 25.0
 """Times the layers before the water, of a first height that nobody states."""
 
@@ -47,8 +43,7 @@ class RefractiveInitializer:
         least = max(self.options.min_pair_inliers, self.options.ransac.min_inliers)
         dry = self._dry(images, pixels)
         views = views if dry is None else views.rows(~dry)
-        options = replace(self.options.ransac, min_inliers=least)
-        report = ransac(RelativePoseEstimator(views), options, generator, HOPELESS_RATIO)
+        report = ransac(RelativePoseEstimator(views), replace(self.options.ransac, min_inliers=least), generator)
         if report.status == "degenerate":
             inliers = report.inliers if dry is None else (~dry).masked_scatter(~dry, report.inliers)
             return PairPose(None, None, inliers, 0.0)
