@@ -72,6 +72,7 @@ def _benches(data: Path, ceres: Path | None) -> dict[str, list[str]]:
         "rendering": [],
         "correct": [],
         "tracks": [],
+        "verification": [],
     }
     if photographs.is_dir():
         benches["photographs"] = [str(photographs)]
