@@ -13,8 +13,8 @@ NEIGHBOURS = 6
 LOOKED_AT = 400
 SHUFFLES = 32
 CLEAR = 1.5
-"""Standard deviations by which more neighbours are shared than by chance: one wrong pair in ten has as many. Of a
-hundred matches thirty right ones give five or six."""
+"""Standard deviations by which more neighbours are shared than by chance: eight wrong pairs in a hundred have as many.
+Of a hundred matches thirty right ones give five or six on average."""
 
 
 def are_coherent(plane1: Float[Tensor, "n 2"], plane2: Float[Tensor, "n 2"]) -> bool:
