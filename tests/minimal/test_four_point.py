@@ -35,6 +35,19 @@ def test_valid_candidates_meet_every_pair_below_the_water_from_above_it(make_pai
     assert (center[problem, candidate, 2] > 0.0).all()
 
 
+def test_candidates_are_the_same_where_their_numbers_may_not_be_looked_at(make_pair):
+    """Then all of them are polished, not the valid ones alone: here because a derivative is wanted."""
+    rays1, rays2, _, _ = make_pair(200, points=4)
+    rays2 = torch.cat((rays2[:150], rays2[150:].flip(0)))
+
+    heading, center, valid = relative_pose_4pt(rays1, rays2, WATER)
+    whole = relative_pose_4pt(rays1.clone().requires_grad_(), rays2, WATER)
+
+    assert torch.equal(whole[2], valid)
+    torch.testing.assert_close(whole[0].detach()[valid], heading[valid], rtol=0.0, atol=1e-10)
+    torch.testing.assert_close(whole[1].detach()[valid], center[valid], rtol=1e-9, atol=1e-9)
+
+
 def test_no_problem_has_more_than_six_candidates_and_none_has_one_twice(make_pair):
     rays1, rays2, _, _ = make_pair(1000, points=4)
 

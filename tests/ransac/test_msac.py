@@ -19,9 +19,10 @@ class Location:
     whether thoroughly).
     """
 
-    def __init__(self, data, sample_size=1, answer=None, better=None, hits=1.0, reason=""):
+    def __init__(self, data, sample_size=1, answer=None, better=None, hits=1.0, reason="", is_promising=True):
         self.data, self.sample_size, self.num_data = data, sample_size, len(data)
         self.answer, self.better, self.samples_per_hit, self.reason = answer, better, hits, reason
+        self.is_promising = is_promising
         self.samples, self.screened, self.optimized, self.judged = [], [], [], []
 
     def solve(self, samples):
@@ -99,6 +100,25 @@ def test_few_data_are_given_up_as_soon_as_no_model_can_have_enough_inliers(make_
 
     assert ransac(location, options, generator).num_samples == 42
     assert ransac(location, replace(options, batch_size=100, max_batch_size=100), generator).num_samples == 100
+
+
+def test_data_that_do_not_look_promising_are_given_up_early(make_location, generator):
+    """ln(0.01) / ln(1 - 0.4^4), rounded up; but no fewer than a batch."""
+    location = make_location(0, 300, sample_size=4, answer=([5.0], [True]), is_promising=False)
+    options = RansacOptions(max_error=1.0, batch_size=100, min_inliers=20)
+
+    assert ransac(location, options, generator).num_samples == 178
+    assert ransac(location, replace(options, batch_size=200), generator).num_samples == 200
+    location.is_promising = True
+    assert ransac(location, options, generator).num_samples == options.max_samples
+
+
+def test_data_that_do_not_look_promising_are_given_up_only_where_nothing_is_found(make_location, generator):
+    location = make_location(30, 70, sample_size=2, answer=([5.0], [True]), is_promising=False)
+
+    report = ransac(location, replace(ONE_BY_ONE, batch_size=30), generator)
+
+    assert (report.status, report.num_inliers) == ("success", 30)
 
 
 def test_more_confidence_needs_more_samples(make_location, generator):

@@ -74,6 +74,7 @@ def _benches(data: Path, ceres: Path | None) -> dict[str, list[str]]:
         "tracks": [],
         "matching": [],
         "pairs": [],
+        "verification": [],
     }
     if photographs.is_dir():
         benches["photographs"] = [str(photographs)]

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from torchrefrac.checks import require
+from torchrefrac.checks import can_be_looked_at, require
 from torchrefrac.geometry.triples import Triple
 from torchrefrac.minimal.layers import Layers, Number, over_height
 from torchrefrac.minimal.rays import Slopes, bent, cross2, look_down, meet_below, require_rays
@@ -70,13 +70,12 @@ def unchecked_relative_pose_4pt(
     samples = torch.arange(2 * DEGREE + 1, dtype=rays1.dtype, device=rays1.device) * (2.0 * torch.pi / (2 * DEGREE + 1))
     heading, is_root = roots_on_circle(fourier_coefficients(determinant_4x4(_turned(terms, samples)[0])))
     center = _null_vector(_turned(terms, heading)[0])
-    isolated = is_root
-    for _ in range(NEWTON_STEPS):
-        heading, center, isolated = _newton(terms, heading, center)
     below = meet_below(heading, center, first, second, layers)
-    valid = is_root & isolated & look_down(rays1, rays2)[..., None] & below
+    valid = is_root & look_down(rays1, rays2)[..., None] & below & (center[2] > 0.0)
+    heading, center, isolated = _polished(terms, heading, center, valid)
+    below = meet_below(heading, center, first, second, layers)
     center = torch.stack(center, dim=-1)
-    valid = valid & (center[..., 2] > 0.0) & center.isfinite().all(dim=-1)
+    valid = valid & isolated & below & (center[..., 2] > 0.0) & center.isfinite().all(dim=-1)
     center = torch.where(valid[..., None], center * like(height, rays1)[..., None, None], 1.0)
     none = (0, SLOTS - heading.shape[-1])
     return pad(heading, none), pad(center, (0, 0, *none), value=1.0), pad(valid, none)
@@ -113,6 +112,32 @@ def _null_vector(matrix: Float[Tensor, "4 4 *batch"]) -> Triple:
     longest = adjugate.square().sum(dim=0).argmax(dim=0)
     x, y, z, w = adjugate.gather(1, longest.expand(4, 1, *longest.shape))[:, 0]
     return x / w, y / w, z / w
+
+
+def _polished(
+    terms: Float[Tensor, "3 4 4 *#batch"],
+    heading: Float[Tensor, "*batch"],
+    center: Triple,
+    wanted: Bool[Tensor, "*batch"],
+) -> tuple[Float[Tensor, "*batch"], Triple, Bool[Tensor, "*batch"]]:
+    """Headings and centres after Newton's steps, and where the roots are isolated. Most samples of wrong matches have
+    no root that is wanted, and the others may stay as they are."""
+    if not can_be_looked_at(heading):
+        return _newton_steps(terms, heading, center)
+    rows, theirs = wanted.nonzero(as_tuple=True), terms.expand(3, 4, 4, *wanted.shape)[:, :, :, wanted]
+    x, y, z = (part[rows] for part in center)
+    found, at, is_isolated = _newton_steps(theirs, heading[rows], (x, y, z))
+    x, y, z = (whole.index_put(rows, part) for whole, part in zip(center, at, strict=True))
+    return heading.index_put(rows, found), (x, y, z), torch.zeros_like(wanted).index_put(rows, is_isolated)
+
+
+def _newton_steps(
+    terms: Float[Tensor, "3 4 4 *#batch"], heading: Float[Tensor, "*#batch"], center: Triple
+) -> tuple[Float[Tensor, "*batch"], Triple, Bool[Tensor, "*batch"]]:
+    isolated = torch.ones_like(heading, dtype=torch.bool)
+    for _ in range(NEWTON_STEPS):
+        heading, center, isolated = _newton(terms, heading, center)
+    return heading, center, isolated
 
 
 def _newton(

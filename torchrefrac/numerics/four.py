@@ -24,9 +24,13 @@ def determinant_4x4(matrix: Float[Tensor, "4 4 *batch"]) -> Float[Tensor, "*batc
 
 def adjugate_4x4(matrix: Float[Tensor, "4 4 *batch"]) -> Float[Tensor, "4 4 *batch"]:
     """The matrix with A adj(A) = det(A) I; at rank 3 its columns are multiples of the null vector."""
-    parts = torch.cat((*_minors(matrix), matrix.flatten(0, 1)))
-    terms = parts[ENTRY] * parts[MINOR] * _along(SIGN, parts)
-    return terms.unflatten(0, (16, 3)).sum(dim=1).unflatten(0, (4, 4))
+    upper, lower = _minors(matrix)
+    parts = (*upper.unbind(), *lower.unbind(), *matrix.flatten(0, 1).unbind())
+    entries = []
+    for (a, b, c), (k, m, n), (first, second, third) in EXPANSION:
+        total = torch.addcmul(first * (parts[a] * parts[k]), parts[b], parts[m], value=second)
+        entries.append(torch.addcmul(total, parts[c], parts[n], value=third))
+    return torch.stack(entries).unflatten(0, (4, 4))
 
 
 def _minors(matrix: Float[Tensor, "4 4 *batch"]) -> tuple[Float[Tensor, "6 *batch"], Float[Tensor, "6 *batch"]]:
@@ -39,20 +43,19 @@ def _along(values: tuple[float, ...], like: Float[Tensor, "_ *batch"]) -> Float[
     return like.new_tensor(values).reshape(-1, *(1 for _ in like.shape[1:]))
 
 
-def _expansion() -> tuple[list[int], list[int], tuple[float, ...]]:
-    """Of each entry (j, i) of the adjugate three products: where an entry and a minor stand, and the sign."""
-    entry, minor, sign = [], [], []
+def _expansion() -> list[tuple[tuple[int, ...], tuple[int, ...], tuple[float, ...]]]:
+    """Of each entry (j, i) of the adjugate three products: where entries and minors stand, and the signs."""
+    expansion = []
     for j in range(4):
         for i in range(4):
             row = i ^ 1  # the other one of the two rows that i belongs to
             first = 6 if i < 2 else 0  # minors of the other two rows
             columns = [k for k in range(4) if k != j]
-            for at, k in enumerate(columns):
-                entry.append(12 + 4 * row + k)
-                minor.append(first + PAIRS.index(tuple(c for c in columns if c != k)))
-                place = at if i < 2 else at + 2  # the row stands above or below the two rows of the minor
-                sign.append(-1.0 if (i + j + place) % 2 else 1.0)
-    return entry, minor, tuple(sign)
+            places = range(3) if i < 2 else range(2, 5)  # the row stands above or below the two rows of the minor
+            entry = tuple(12 + 4 * row + k for k in columns)
+            minor = tuple(first + PAIRS.index((columns[a], columns[b])) for a, b in ((1, 2), (0, 2), (0, 1)))
+            expansion.append((entry, minor, tuple(-1.0 if (i + j + place) % 2 else 1.0 for place in places)))
+    return expansion
 
 
-ENTRY, MINOR, SIGN = _expansion()
+EXPANSION = _expansion()

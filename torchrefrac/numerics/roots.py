@@ -7,6 +7,7 @@ in between is one more node: it tells two roots from none.
 """
 
 import math
+from itertools import chain
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -96,10 +97,14 @@ def _grid(count: int, like: Float[Tensor, "..."]) -> Float[Tensor, " {count}"]:
 
 
 def _basis(x: Float[Tensor, "*batch"], degree: int) -> Float[Tensor, "*batch 2*{degree}+1"]:
-    """(1, cos x, sin x, ..., cos dx, sin dx), d = `degree`."""
-    angle = x[..., None] * torch.arange(1, degree + 1, dtype=x.dtype, device=x.device)
-    waves = torch.stack((angle.cos(), angle.sin()), dim=-1).flatten(-2)
-    return torch.cat((torch.ones_like(x)[..., None], waves), dim=-1)
+    """(1, cos x, sin x, ..., cos dx, sin dx), d = `degree`, each from the one before."""
+    c, s = x.cos(), x.sin()
+    waves = [(c, s)]
+    for _ in range(1, degree):
+        before = waves[-1]
+        cosine = torch.addcmul(before[0] * c, before[1], s, value=-1.0)
+        waves.append((cosine, torch.addcmul(before[1] * c, before[0], s)))
+    return torch.stack((torch.ones_like(x), *chain.from_iterable(waves)), dim=-1)
 
 
 def _slope(coefficients: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:

@@ -17,6 +17,10 @@ from torch import Tensor
 from torchrefrac.checks import Range, require_ranges
 
 SCORE_ELEMENTS = 1 << 15
+HOPELESS_RATIO, MISSED = 0.4, 0.01
+"""Share of inliers at which data that do not look promising are given up, and the probability that a good enough sample
+was missed there. Where as many are right, data look promising anyway: this is for those few that do not."""
+
 Status = Literal["success", "too_few_data", "no_consensus", "degenerate"]
 
 
@@ -32,6 +36,12 @@ class Estimator(Protocol):
     @property
     def samples_per_hit(self) -> float:
         """How many samples without outliers it takes, on average, for one that is good enough to be optimised."""
+        ...
+
+    @property
+    def is_promising(self) -> bool:
+        """Whether more data look right, before any model is known, than wrong ones do by chance. True where nothing can
+        be seen without a model."""
         ...
 
     def solve(self, samples: Int[Tensor, "s size"]) -> tuple[Float[Tensor, "s m d"], Bool[Tensor, "s m"]]:
@@ -118,7 +128,8 @@ def ransac(estimator: Estimator, options: RansacOptions, generator: torch.Genera
     Deterministic for a given state of `generator`. Fails with a status, not with a model: "too_few_data";
     "no_consensus", fewer than min_inliers data agree; "degenerate", they agree but do not determine it. Drawing ends
     when so many samples were drawn that with `confidence` a good enough one was among them, at the best inlier ratio
-    so far, or at that of the fewest inliers that are enough, if that is higher: with few data, chance ends soon.
+    so far, or at that of the fewest inliers that are enough, if that is higher: with few data, chance ends soon. Data
+    that do not look promising are given up much earlier, if the first batch has found nothing in them.
     """
     needed = max(estimator.sample_size + 1, options.min_inliers)
     if estimator.num_data < needed:
@@ -127,7 +138,7 @@ def ransac(estimator: Estimator, options: RansacOptions, generator: torch.Genera
         return RansacReport("too_few_data", torch.zeros(0), nothing, math.inf, 0, detail)
     search = _Search(estimator, options, generator, needed)
     size = options.batch_size
-    while (left := min(search.wanted, options.max_samples) - search.drawn) > 0:
+    while (left := search.left) > 0:
         search.batch(min(size, left))
         size = min(2 * size, options.max_batch_size)
     return search.report(needed)
@@ -139,13 +150,21 @@ class _Search:
     def __init__(self, estimator: Estimator, options: RansacOptions, generator: torch.Generator, needed: int) -> None:
         self.estimator, self.options, self.generator = estimator, options, generator
         self.least = needed / estimator.num_data
-        self.drawn, self.wanted = 0, max(self._samples_at(self.least), options.batch_size)
+        self.drawn, self.wanted = 0, max(self._samples_at(self.least, options.confidence), options.batch_size)
         self.model = torch.zeros(0)
         self.inliers = torch.zeros(estimator.num_data, dtype=torch.bool)
         self.cost = self.screened_cost = math.inf
         self.rows: Int[Tensor, " n"] | None = None
         if estimator.num_data > 2 * options.screening_size:
             self.rows = torch.randperm(estimator.num_data, generator=generator)[: options.screening_size]
+
+    @property
+    def left(self) -> int:
+        """How many samples are still to be drawn."""
+        left = min(self.wanted, self.options.max_samples) - self.drawn
+        if left <= 0 or self.drawn == 0 or self.estimator.is_promising:
+            return left
+        return min(left, self._samples_at(HOPELESS_RATIO, 1.0 - MISSED) - self.drawn)
 
     def batch(self, count: int) -> None:
         """Draw, solve, screen; optimise the leaders, and the best of them on all data if none before was as good."""
@@ -192,16 +211,16 @@ class _Search:
     def _take(self, model: Float[Tensor, " d"], cost: float) -> None:
         self.model, self.cost = model, cost
         self.inliers = self.estimator.squared_errors(model[None], None)[0] < self.options.max_error**2
-        self.wanted = self._samples_at(max(float(self.inliers.double().mean()), self.least))
+        self.wanted = self._samples_at(max(float(self.inliers.double().mean()), self.least), self.options.confidence)
 
-    def _samples_at(self, ratio: float) -> int:
-        """How many samples are enough, with `confidence`, where this share of the data are inliers."""
+    def _samples_at(self, ratio: float, confidence: float) -> int:
+        """How many samples are enough, with this confidence, where this share of the data are inliers."""
         hits = ratio**self.estimator.sample_size / self.estimator.samples_per_hit
         if hits >= 1.0:
             return 0
         if hits <= 0.0:  # nothing is known of the vertical
             return self.options.max_samples
-        return min(math.ceil(math.log(1.0 - self.options.confidence) / math.log1p(-hits)), self.options.max_samples)
+        return min(math.ceil(math.log(1.0 - confidence) / math.log1p(-hits)), self.options.max_samples)
 
 
 def draw_samples(count: int, num_data: int, size: int, generator: torch.Generator) -> Int[Tensor, "{count} {size}"]:

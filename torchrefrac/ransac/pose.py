@@ -4,6 +4,7 @@ Models are refined in stages, from a wide limit of the errors to a narrow one.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import torch
@@ -15,6 +16,7 @@ from torchrefrac.minimal.absolute_pose import unchecked_absolute_pose_2pt
 from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt
 from torchrefrac.minimal.known_heading import unchecked_absolute_pose_known_heading, unchecked_relative_pose_3pt
 from torchrefrac.optim import SmallReport
+from torchrefrac.ransac.coherence import are_coherent
 from torchrefrac.ransac.degeneracy import explain_absolute, explain_relative
 from torchrefrac.refinement import OneView, TwoViews
 
@@ -130,6 +132,11 @@ class RelativePoseEstimator(PoseEstimator[TwoViews]):
     def sample_size(self) -> int:
         return 4 if self.data.known_heading is None else 3
 
+    @cached_property
+    def is_promising(self) -> bool:
+        """Whether neighbours in one image are neighbours in the other more often than in wrong matches."""
+        return are_coherent(self.data.plane1, self.data.plane2)
+
     def solve(self, samples: Int[Tensor, "s size"]) -> tuple[Float[Tensor, "s m 8"], Bool[Tensor, "s m"]]:
         rays1, rays2 = self._rays1[samples], self._rays2[samples]
         index, height = self.data.index_ratio, self.data.height
@@ -153,6 +160,7 @@ class AbsolutePoseEstimator(PoseEstimator[OneView]):
     """
 
     sample_size = 2
+    is_promising = True
     quick, thorough = ((4.0, 2), (1.0, 2)), ((1.0, 12),)
 
     def __init__(self, view: OneView) -> None:

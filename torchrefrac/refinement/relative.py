@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
-from torchrefrac.checks import is_wrapped
+from torchrefrac.checks import can_be_looked_at
 from torchrefrac.geometry import triples
 from torchrefrac.minimal import triangulate
 from torchrefrac.minimal.rays import require_matches
@@ -153,9 +153,7 @@ class TwoViews:
 
 def _share_first(models: Models) -> bool:
     """Whether all models have the same first camera, whose rays are then followed once: those of minimal samples do."""
-    if models.is_cuda or torch.compiler.is_compiling() or models.requires_grad or is_wrapped(models):
-        return False  # there the numbers cannot be looked at, or only at a price, or each model has its own gradient
-    return bool((models[:, :2] == models[:1, :2]).all())
+    return can_be_looked_at(models) and bool((models[:, :2] == models[:1, :2]).all())
 
 
 def _bulk(errors: EpipolarError, max_error: float) -> Bool[Tensor, "h n"]:
