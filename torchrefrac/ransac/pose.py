@@ -132,9 +132,13 @@ class RelativePoseEstimator(PoseEstimator[TwoViews]):
     def sample_size(self) -> int:
         return 4 if self.data.known_heading is None else 3
 
-    @cached_property
+    @property
     def is_promising(self) -> bool:
         """Whether neighbours in one image are neighbours in the other more often than in wrong matches."""
+        return self._is_coherent
+
+    @cached_property
+    def _is_coherent(self) -> bool:
         return are_coherent(self.data.plane1, self.data.plane2)
 
     def solve(self, samples: Int[Tensor, "s size"]) -> tuple[Float[Tensor, "s m 8"], Bool[Tensor, "s m"]]:
