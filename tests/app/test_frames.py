@@ -2,10 +2,15 @@
 
 import csv
 import shutil
+from dataclasses import replace
 
 import pytest
+import torch
 
+from tests.files.two_cameras import two_camera_scene
+from torchrefrac.commands.frames import of_frame
 from torchrefrac.files.library import embedded_scene
+from torchrefrac.scene import Capture
 
 IMAGES = embedded_scene("tank_small") / "images"
 
@@ -38,6 +43,31 @@ def test_each_moment_is_made_dense_by_the_cameras_of_the_run(torchrefrac, part_o
     assert (tmp_path / "dense" / "t1" / "dense.ply").is_file()
     assert not (tmp_path / "dense" / "t3").exists()
     assert not (tmp_path / "run" / "dense.ply").exists()
+
+
+def test_photographs_are_told_apart_by_their_folders(draw, tmp_path):
+    """As those of a rig, whose cameras number their photographs alike."""
+    scene = two_camera_scene(draw, views=3)
+    names = ("left/1.jpg", "right/1.jpg", "top.jpg")
+    down = torch.tensor([[0.0, 0.0, 1.0]]).double().repeat(3, 1)
+    numbers = {"down_in_cam": down, "down_sigma": torch.ones(3).double(), "height": torch.ones(3).double()}
+    files = tuple(tmp_path / name for name in names)
+    capture = Capture(
+        tmp_path, names, files, scene.cameras, scene.interfaces, **numbers, has_height=torch.zeros(3, dtype=torch.bool),
+        length_unit="cm", camera=scene.views.camera,
+    )  # fmt: skip
+    scene = replace(scene, capture=capture, views=replace(scene.views, names=names))
+    for name in ("left/1.png", "right/1.png", "other.png"):
+        (tmp_path / "t1" / "images" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "t1" / "images" / name).write_bytes(b"")
+
+    found = of_frame(scene, tmp_path / "t1")
+
+    assert found.views.names == names[:2]
+    assert [path.relative_to(tmp_path / "t1" / "images").as_posix() for path in found.capture.paths] == [
+        "left/1.png",
+        "right/1.png",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,7 @@ from torchrefrac.cli.composed import calibrate_options, import_options
 from torchrefrac.cli.conf import CONF
 from torchrefrac.commands.calibrate import calibrate as calibrate_camera
 from torchrefrac.commands.calibrate import calibration_lines
-from torchrefrac.commands.calibrate_capture import calibrate_capture
-from torchrefrac.commands.calibrate_capture import calibration_lines as capture_lines
+from torchrefrac.commands.calibrate_capture import calibrate_capture, capture_lines
 from torchrefrac.commands.import_photographs import import_photographs
 from torchrefrac.record.import_lines import import_lines
 from torchrefrac.record.summary import summary

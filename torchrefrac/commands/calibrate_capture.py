@@ -1,6 +1,5 @@
 """Poses, intrinsics and interface of a capture from points whose places are known: of a board, or of a file."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from torchrefrac.commands.boards import board_of
 from torchrefrac.commands.results import require_replaceable
 from torchrefrac.config.importing import UNITS, CalibrateOptions
 from torchrefrac.files.cameras import CAMERAS, write_cameras
-from torchrefrac.files.capture import PIXEL_SHIFT, load_capture, write_capture
+from torchrefrac.files.capture import PIXEL_SHIFT, load_capture, stated_pixel_shift, write_capture
 from torchrefrac.files.known_points import read_known_points
 from torchrefrac.files.metadata.boards import Pattern
 from torchrefrac.files.paths import real_path
@@ -28,6 +27,7 @@ from torchrefrac.scene.known import KnownPoints
 from torchrefrac.sfm.known_points import Calibration, calibrate_by_points
 
 CAPTURE, RESIDUALS = "capture.json", "residuals.csv"
+WRITTEN = (CAMERAS, CAPTURE, RESIDUALS)
 FEWEST_CORNERS = 6
 
 
@@ -37,15 +37,16 @@ def calibrate_capture(options: CalibrateOptions, recorder: Recorder) -> dict[str
 
     Views that see no board are left out. Raises CaptureError, CalibrationError, UnadjustableError or OutRefusedError.
     """
+    folder = Path(options.out).expanduser()
+    require_replaceable(folder, "calibrate", WRITTEN)
     capture = load_capture(options.capture or "", with_images=options.points is None)
     known, seeing = _known(capture, options, recorder)
     capture = capture.of_views(seeing)
     scene = _scene_of(capture, known)
     found = calibrate_by_points(scene, BundleOptions(refine=options.refine, pixel_sigma=options.pixel_sigma))
-    folder = Path(options.out).expanduser()
     folder.mkdir(parents=True, exist_ok=True)
     with alone(folder):
-        require_replaceable(folder, "calibrate", (CAMERAS, CAPTURE, RESIDUALS))
+        require_replaceable(folder, "calibrate", WRITTEN)
         write_cameras(found.scene, folder / CAMERAS)
         after = found.scene.cameras, found.scene.interfaces
         write_capture(capture.folder / CAPTURE, *after, _sigmas(found), folder / CAPTURE)
@@ -93,7 +94,7 @@ def calibration_metrics(found: Calibration) -> dict[str, Any]:
     return metrics | {"interfaces": places}
 
 
-def calibration_lines(metrics: dict[str, Any]) -> list[str]:
+def capture_lines(metrics: dict[str, Any]) -> list[str]:
     """What is printed."""
     unit = metrics["length_unit"]
     lines = [
@@ -113,8 +114,7 @@ def calibration_lines(metrics: dict[str, Any]) -> list[str]:
 def _known(capture: Capture, options: CalibrateOptions, recorder: Recorder) -> tuple[KnownPoints, list[int]]:
     """The points, and the views that see any, by which the observations number them."""
     if options.points is not None:
-        content = json.loads((capture.folder / CAPTURE).read_text(encoding="utf-8"))
-        known = read_known_points(Path(options.points), capture.names, PIXEL_SHIFT[content["pixel_origin"]])
+        known = read_known_points(Path(options.points), capture.names, stated_pixel_shift(capture.folder))
     else:
         known = _corners(capture, board_of(options), recorder)
         if isinstance(options.square, str):  # with a unit, so that the corners are in m

@@ -22,6 +22,7 @@ from torchrefrac.config import DensifyOptions, OptionError, Options
 from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.swap import remove_if_empty
+from torchrefrac.files.track_table import view_numbers
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Capture, CaptureError, Scene
 from torchrefrac.sfm import Rules
@@ -106,7 +107,7 @@ def densify_frame(job: Frame) -> dict[str, Any]:
 def _densified(job: Frame, place: Path) -> dict[str, Any]:
     options, usual = job.options, Options()
     run = open_run(Path(options.run), options.capture)
-    scene = _of_frame(run.scene, job.photographs)
+    scene = of_frame(run.scene, job.photographs)
     assert scene.capture is not None
     files, silent = RunFolder(place), SilentRecorder()
     about = {"model": "refractive", "capture": str(real_path(scene.capture.folder)), "cameras_of": str(run.folder)}
@@ -123,13 +124,17 @@ def _densified(job: Frame, place: Path) -> dict[str, Any]:
     return files.metrics
 
 
-def _of_frame(scene: Scene, folder: Path) -> Scene:
+def of_frame(scene: Scene, folder: Path) -> Scene:
     """The registered views of a run that a folder has photographs of, with these."""
     assert scene.capture is not None
-    places = [folder, folder / "images"]
-    files = {path.stem: path for place in reversed(places) if place.is_dir() for path in sorted(place.iterdir())}
-    views = scene.views
-    here = torch.tensor([Path(name).stem in files for name in views.names]) & views.registered
+    views, numbers, files = scene.views, view_numbers(scene.views.names), {}
+    for place in (folder / "images", folder):
+        for path in sorted(place.rglob("*")):
+            name = path.relative_to(place)
+            number = numbers.get(name.as_posix(), numbers.get(name.with_suffix("").as_posix()))
+            if number is not None and path.is_file():
+                files[number] = path
+    here = torch.tensor([number in files for number in range(len(views))]) & views.registered
     if int(here.sum()) < FEWEST_VIEWS:
         known = ", ".join(views.names[:3])
         raise CaptureError(
@@ -139,7 +144,7 @@ def _of_frame(scene: Scene, folder: Path) -> Scene:
     scene = scene.of_views(here)
     capture: Capture | None = scene.capture
     assert capture is not None
-    paths = tuple(files[Path(name).stem] for name in scene.views.names)
+    paths = tuple(files[number] for number in here.nonzero()[:, 0].tolist())
     return replace(scene, capture=replace(capture, folder=folder, paths=paths))
 
 

@@ -92,6 +92,12 @@ def load_capture(folder: str | Path, with_images: bool = True) -> Capture:
     return capture
 
 
+def stated_pixel_shift(folder: Path) -> float:
+    """From pixels as `folder`/capture.json counts them to those of this package."""
+    top = read_json(folder / "capture.json")
+    return pixel_shift(top, top.text("pixel_origin"))
+
+
 def write_capture(
     source: Path, cameras: Cameras, interfaces: Interfaces, sigmas: Sequence[Mapping[str, float]], path: Path
 ) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import torch
 
 from torchrefrac.files.control_points import numbers_of, text_lines
+from torchrefrac.files.track_table import view_numbers
 from torchrefrac.scene import CaptureError, Observations
 from torchrefrac.scene.known import KnownPoints
 
@@ -27,7 +28,7 @@ def read_known_points(path: Path, names: Sequence[str], shift: float) -> KnownPo
     if missing:
         raise CaptureError(f"{path} has no column {missing[0]}; its first line must name {', '.join(COLUMNS)}")
     at = [titles.index(name) for name in COLUMNS]
-    known = {Path(name).stem: i for i, name in enumerate(names)} | {name: i for i, name in enumerate(names)}
+    known = view_numbers(names)
     places: dict[tuple[float, ...], int] = {}
     point, view, pixels, seen = [], [], [], set()
     for number, line in rest:

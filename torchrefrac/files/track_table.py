@@ -41,7 +41,7 @@ def read_track_table(path: Path, views: Sequence[str], shift: float) -> TrackTab
     Raises CaptureError, with the line, for a column that is missing, a view that is unknown, a point that a view sees
     twice and what is no number.
     """
-    number_of, points = _numbers_of(views), {}
+    number_of, points = view_numbers(views), {}
     point, view, places, lines = [], [], [], []
     for line, frame, name, image, x, y in _rows(path):
         number = number_of.get(image)
@@ -130,7 +130,7 @@ def _first_repeat(keys: Int[Tensor, " k"]) -> int | None:
     return int(repeats.min()) if len(repeats) else None
 
 
-def _numbers_of(views: Sequence[str]) -> dict[str, int]:
+def view_numbers(views: Sequence[str]) -> dict[str, int]:
     """Views by their names, and without ending where no other is called so."""
     stems = [PurePath(name).with_suffix("").as_posix() for name in views]
     short = {stem: i for i, stem in enumerate(stems) if stems.count(stem) == 1}

@@ -139,6 +139,12 @@ class Interfaces:
         """All surfaces as a batch (e)."""
         return Plane(self.normal, self.offset, check=False)
 
+    def heights(self, points: Float[Tensor, "*#batch 3"], interface: Any) -> Float[Tensor, "*batch"]:
+        """Of points before the first surfaces of the interfaces `interface` (*B), negative beyond; -inf for ports,
+        before which nothing is seen."""
+        height = self.planes.indexed(interface, (len(self),)).signed_distance(points)
+        return torch.full_like(height, -torch.inf) if self.move_with_camera else height
+
     def of_views(self, interface: Any, dry: Bool[Tensor, "*batch"] | None = None) -> FlatInterface:
         """What views with the interfaces `interface` (*B) look through, as a batch (*B); not batched where there is one
         for all. dry (*B): which of them look at something without water before it: their surface lies infinitely

@@ -335,13 +335,11 @@ class Scene:
     def above_water(self) -> Bool[Tensor, " n"]:
         """Points above the surface that the first view with an observation of them looks through, or the first."""
         seen, interfaces = self.observations, self.interfaces
-        if interfaces.move_with_camera:
-            return torch.zeros_like(self.placed)
         if len(interfaces) == 1 or not len(seen):
-            return interfaces.planes.indexed(0, (len(interfaces),)).signed_distance(self.points) > 0.0
+            return interfaces.heights(self.points, 0) > 0.0
         first = torch.searchsorted(seen.point, torch.arange(len(self.points))).clamp(max=len(seen) - 1)
         interface = self.views.interface[seen.view[first]]
-        return interfaces.planes.indexed(interface, (len(interfaces),)).signed_distance(self.points) > 0.0
+        return interfaces.heights(self.points, interface) > 0.0
 
     def outside_water(self) -> Bool[Tensor, " n"]:
         """Placed points that lie below the surface, but not under water."""

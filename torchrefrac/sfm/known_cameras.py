@@ -84,12 +84,9 @@ def agreeing_matches(scene: Scene, features: Sequence[Features], pair: PairMatch
     view = torch.tensor([pair.first, pair.second])
     both = torch.stack([features[i].pixels[pair.matches[:, k]] for k, i in enumerate(view.tolist())], dim=1)
     camera = scene.camera_of(view)
-    planes, surfaces = scene.interfaces, scene.interfaces.of_views(scene.views.interface[view])
 
     def height(points: Float[Tensor, "k 3"]) -> Float[Tensor, " k"]:
-        if planes.move_with_camera:
-            return torch.full_like(points[..., 2], -torch.inf)
-        return surfaces.plane.signed_distance(points[..., None, :]).mean(dim=-1)
+        return scene.interfaces.heights(points[:, None], scene.views.interface[view]).mean(dim=-1)
 
     points, _, valid = Rays.of(camera, both).meet(height)
     projected, possible = camera.project(points[:, None])

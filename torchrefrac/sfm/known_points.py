@@ -63,13 +63,13 @@ def calibrate_by_points(scene: Scene, options: BundleOptions | None = None) -> C
     scene = replace(scene, views=_posed(scene), accepted=torch.ones_like(scene.accepted))
     scene = replace(scene, placed=torch.ones_like(scene.placed))
     report = _adjusted(scene, replace(options, loss="huber", loss_scale=2.0, refine=()))
-    for _ in range(ROUNDS):
+    for i in range(ROUNDS):
         scene = _as_adjusted(scene, report)
         fits = _fitting(scene, options.pixel_sigma)
-        same, scene = torch.equal(fits, scene.accepted), replace(scene, accepted=fits)
-        report = _adjusted(scene, options)
-        if same:
+        if i and torch.equal(fits, scene.accepted):
             break
+        scene = replace(scene, accepted=fits)
+        report = _adjusted(scene, options)
     return Calibration(_as_adjusted(scene, report), report, *_how_well(report))
 
 

@@ -105,11 +105,8 @@ class Tracks(NamedTuple):
         scene = self.scene
         if scene.interfaces.is_level:
             return points[..., 2]
-        if scene.interfaces.move_with_camera:
-            return torch.full_like(points[..., 2], -torch.inf)
         interface = scene.views.interface[scene.observations.view[self.rows[table]]]
-        planes = scene.interfaces.planes.indexed(interface, (len(scene.interfaces),))
-        return planes.signed_distance(points[:, None]).mean(dim=-1)
+        return scene.interfaces.heights(points[:, None], interface).mean(dim=-1)
 
     def _by_length(self) -> Iterator[tuple[Int[Tensor, " t"], Int[Tensor, "t n"]]]:
         """Tracks of one length are a table, and there are not many lengths: which they are, and their observations."""
