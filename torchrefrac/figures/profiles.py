@@ -102,9 +102,10 @@ def draw_profiles(raster: Raster, path: Path, words: Wording = OF_WATER) -> bool
     typical = raster.sigma[raster.valid].median()
     sigma = rounded(float(typical)) if len(heights) else UNKNOWN
     line = f"; blue: {words.glass}" if words.surface else ""
+    drawn = _exaggeration(longest, high - low + 2.0 * margin, len(every))
     figure.suptitle(
-        f"Sections across the surface, {words.relief} {_exaggeration(longest, high - low + 2.0 * margin, len(every))} "
-        f"times exaggerated; pale: ± {BAND:g} standard deviations ({sigma} {unit} each, median){line}",
+        f"Sections across the surface, {words.relief} {drawn}; pale: ± {BAND:g} standard deviations ({sigma} {unit} "
+        f"each, median){line}",
         fontsize=9, color=TEXT,
     )  # fmt: skip
     save(figure, path)
@@ -112,9 +113,10 @@ def draw_profiles(raster: Raster, path: Path, words: Wording = OF_WATER) -> bool
 
 
 def _exaggeration(length: float, height: float, count: int) -> str:
-    """By what factor heights are drawn larger than distances."""
+    """By what factor heights are drawn larger than distances, or smaller."""
     across, up = 0.88 * (INCHES[0] - PLAN_INCHES), 0.78 * INCHES[1] / count
-    return rounded(up / height * length / across)
+    factor = up / height * length / across
+    return f"{rounded(factor)} times exaggerated" if factor >= 1.0 else f"{rounded(1.0 / factor)} times compressed"
 
 
 def _draw_plan(panel: Any, raster: Raster, every: list[Profile], words: Wording) -> None:
