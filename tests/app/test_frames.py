@@ -31,7 +31,9 @@ def test_each_moment_is_made_dense_by_the_cameras_of_the_run(torchrefrac, part_o
     _frame(tmp_path / "film" / "t2", names[:3])
     _frame(tmp_path / "film" / "t3", names[:1])
 
-    ended = torchrefrac("densify", "run=run", "frames='film/*'", "out=dense", "workers=1", "outputs.depth_maps=false")
+    ended = torchrefrac(
+        "densify", "run=run", "frames='film/*'", "out=dense", "executor.workers=1", "outputs.depth_maps=false"
+    )
 
     assert ended.status == 1  # because of one of them
     assert "2 of 3 frames are dense" in ended.out
@@ -76,7 +78,7 @@ def test_photographs_are_told_apart_by_their_folders(draw, tmp_path):
         (("frames=film", "run=run"), "out is missing"),
         (("out=dense", "run=run"), "frames is missing"),
         (("frames=film", "out=dense", "run=nowhere"), "run is nowhere, which is no folder"),
-        (("frames=film", "out=dense", "run=run", "workers=-1"), "workers is -1"),
+        (("frames=film", "out=dense", "run=run", "executor.workers=-1"), "executor.workers is -1"),
     ],
 )
 def test_what_cannot_be_right_is_refused(torchrefrac, tmp_path, options, sentence):

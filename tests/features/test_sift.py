@@ -61,9 +61,9 @@ def test_descriptors_are_rootsift_of_length_one(write_image, blobs):
     features = extract_sift(write_image(blobs[0]), SiftOptions())
 
     assert features.descriptors.shape == (len(features), 128)
-    assert features.descriptors.dtype == torch.float32
-    assert (features.descriptors >= 0.0).all()
-    torch.testing.assert_close(features.descriptors.norm(dim=-1), torch.ones(len(features)), rtol=0.0, atol=1e-5)
+    assert features.unit().dtype == torch.float32
+    assert (features.unit() >= 0.0).all()
+    torch.testing.assert_close(features.unit().norm(dim=-1), torch.ones(len(features)), rtol=0.0, atol=1e-5)
 
 
 def test_squared_descriptors_are_proportional_to_opencvs(write_image, blobs):
@@ -74,7 +74,7 @@ def test_squared_descriptors_are_proportional_to_opencvs(write_image, blobs):
     keypoints, plain = cv2.SIFT.create(enable_precise_upscale=True).detectAndCompute(image, None)
     expected = torch.from_numpy(plain / plain.sum(axis=1, keepdims=True))
     assert len(features) == len(keypoints)
-    apart = torch.cdist(features.descriptors.double().square(), expected.double())
+    apart = torch.cdist(features.unit().double().square(), expected.double())
     assert float(apart.amin(dim=1).max()) < 1e-4
     assert float(apart.amin(dim=0).max()) < 1e-4
 
@@ -176,7 +176,7 @@ def test_keypoints_in_pixels_that_may_not_be_used_are_dropped_and_those_near_the
     assert torch.cdist(everywhere.pixels[far], features.pixels).amin(dim=1).max() < 0.01
     offset = _offsets(features, centers)
     assert offset.norm(dim=-1).median() < 0.05
-    torch.testing.assert_close(features.descriptors.norm(dim=-1), torch.ones(len(features)), rtol=0.0, atol=1e-5)
+    torch.testing.assert_close(features.unit().norm(dim=-1), torch.ones(len(features)), rtol=0.0, atol=1e-5)
 
 
 def test_what_may_not_be_used_takes_no_room_among_the_strongest(write_image, blobs):
@@ -201,7 +201,7 @@ def test_the_descriptors_of_what_may_be_used_are_those_of_the_whole_image(write_
     some, every = extract_sift(path, SiftOptions(), used), extract_sift(path, SiftOptions())
 
     same = torch.cdist(some.pixels, every.pixels) < 1e-6  # several, of different orientations
-    closeness = (some.descriptors @ every.descriptors.T - 2.0 * ~same).amax(dim=1)
+    closeness = (some.unit() @ every.unit().T - 2.0 * ~same).amax(dim=1)
     assert float(closeness.min()) > 0.9999
 
 

@@ -7,13 +7,15 @@ import torch
 from torchrefrac.features import PairMatches
 from torchrefrac.geometry import Rigid
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.sfm import PairPose, SfmOptions, errors_are_rough, verify_pairs
+from torchrefrac.sfm import PairPose, RefractiveInitializer, SfmOptions, errors_are_rough, verify_pairs
 from torchrefrac.sfm.pose import judge_pair
 
 
 class Agreeing:
     """An initialiser for which the first `inliers` matches of any pair agree, and the last `straight` if nothing is
     bent; keeps the pixels it was given."""
+
+    index_ratio = 1.333
 
     def __init__(self, inliers, straight=0):
         self.inliers, self.straight, self.asked = inliers, straight, []
@@ -24,6 +26,9 @@ class Agreeing:
             return None
         number = torch.arange(len(pixels[0]))
         return PairPose(None, None, number < self.inliers, 0.1, number >= len(number) - self.straight)
+
+    def absolute(self, image, intrinsics, pixels, points, generator):
+        raise AssertionError("nobody asks for one view")
 
 
 def test_the_matches_that_agree_are_kept(survey_of, generator):
@@ -134,3 +139,20 @@ def test_the_recorder_hears_of_the_inliers_of_every_pair(survey_of, generator, r
 
     inliers = [(value, step) for name, value, step in recorder.scalars if name == "verification/inliers"]
     assert inliers == [(25, 0), (25, 1), (25, 2)]
+
+
+def test_what_comes_out_for_a_pair_does_not_depend_on_the_others(survey_of):
+    survey = survey_of(cameras=3)
+    initializer = RefractiveInitializer(survey.capture, 1.333, SfmOptions())
+
+    def verified(pairs):
+        chance = torch.Generator().manual_seed(5)
+        found = verify_pairs(pairs, survey.features(), initializer, 20, chance, SilentRecorder())
+        return {(one.pair.first, one.pair.second): one for one in found}
+
+    all_three, alone = verified(survey.pairs()), verified(survey.pairs()[2:])
+
+    assert len(all_three) == 3
+    (key,) = alone
+    assert torch.equal(alone[key].pose.rotation, all_three[key].pose.rotation)
+    assert torch.equal(alone[key].pair.matches, all_three[key].pair.matches)

@@ -108,7 +108,7 @@ def _by_ours(paths: Sequence[Path], size: tuple[int, int], options: SiftOptions)
     features = [extract_sift(path, options) for path in paths]
     found = time.perf_counter()
     pairs = [
-        PairMatches(i, j, match(features[i].descriptors, features[j].descriptors, MatchOptions()))
+        PairMatches(i, j, match(features[i].unit(), features[j].unit(), MatchOptions()))
         for i, j in combinations(range(len(paths)), 2)
     ]
     matched = time.perf_counter()

@@ -105,7 +105,7 @@ def _true_matches(features: Sequence[Features], truth: TruthPoints) -> Int[Tenso
     shown = [_places(of_image, truth, image) for image, of_image in enumerate(features)]
     count = torch.zeros(len(features), len(features), dtype=torch.long)
     for i, j in pairs_of(every_pair(len(features))).tolist():
-        matches = match(features[i].descriptors, features[j].descriptors, MatchOptions())
+        matches = match(features[i].unit(), features[j].unit(), MatchOptions())
         apart = (shown[i][matches[:, 0]] - shown[j][matches[:, 1]]).norm(dim=-1)
         count[i, j] = count[j, i] = (apart < APART).sum()
     return count

@@ -24,7 +24,7 @@ from torchrefrac.sfm.known_points import CalibrationError
 from torchrefrac.sweeps.folder import SweepError, append_traceback, write_failure
 
 EXPECTED = (
-    CalibrationError, CaptureError, CloudError, CorrectionError, DenseError, FolderInUseError, MemoryLackError,
+    CalibrationError, CaptureError, CloudError, CorrectionError, DenseError, ExecutorError, FolderInUseError, MemoryLackError,
     MissingMandatoryValue, NoInitialPairError, OptionError, OSError, ReconstructionError, RunRecordError, SceneError,
     SurveyError, SweepError, UnadjustableError,
 )  # fmt: skip

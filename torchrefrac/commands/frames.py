@@ -3,10 +3,8 @@
 import csv
 import glob
 import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,7 @@ from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.swap import remove_if_empty
 from torchrefrac.files.track_table import view_numbers
+from torchrefrac.parallel import Workers
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Capture, CaptureError, Scene
 from torchrefrac.sfm import Rules
@@ -44,7 +43,7 @@ class Frame:
 
 def densify_frames(options: DensifyOptions, recorder: Recorder) -> list[dict[str, Any]]:
     """Make every folder of photographs that `options.frames` matches dense, with the cameras of the run, each into a
-    folder of its own in `options.out`, as many at a time as there are processors or `options.workers`; returns a row of
+    folder of its own in `options.out`, as many at a time as `options.executor` says; returns a row of
     frames.csv for each, which is written after every one.
 
     Photographs have the names that the run knows (their endings may differ), in the folder or in images/ there. A frame
@@ -65,9 +64,10 @@ def densify_frames(options: DensifyOptions, recorder: Recorder) -> list[dict[str
     out.mkdir(parents=True, exist_ok=True)
     jobs = [Frame(folder, out / folder.name, options) for folder in folders]
     rows: dict[str, dict[str, Any]] = {}
-    for row in recorder.track(_each(jobs, options.workers or os.cpu_count() or 1), len(jobs), "frames", "frame"):
-        rows[row["frame"]] = row
-        _write([rows[name] for name in names if name in rows], out / SUMMARY)
+    with Workers(options.executor) as workers:
+        for _, row in recorder.track(workers.each(densify_frame, jobs, few=2), len(jobs), "frames", "frame"):
+            rows[row["frame"]] = row
+            _write([rows[name] for name in names if name in rows], out / SUMMARY)
     return [rows[name] for name in names]
 
 
@@ -79,16 +79,6 @@ def frame_lines(rows: Sequence[dict[str, Any]]) -> list[str]:
         counts = sorted(row["dense_points"] for row in done)
         lines[0] += f", with {counts[0]} to {counts[-1]} points"
     return [*lines, *(f"{row['frame']}: {row['reason']}" for row in rows if row["status"] != "complete")]
-
-
-def _each(jobs: Sequence[Frame], workers: int) -> Iterator[dict[str, Any]]:
-    """Rows, as they come."""
-    if workers == 1 or len(jobs) == 1:
-        yield from map(densify_frame, jobs)
-        return
-    with ProcessPoolExecutor(min(workers, len(jobs)), get_context("spawn"), torch.set_num_threads, (1,)) as pool:
-        for ended in as_completed([pool.submit(densify_frame, job) for job in jobs]):
-            yield ended.result()
 
 
 def densify_frame(job: Frame) -> dict[str, Any]:

@@ -70,7 +70,7 @@ def choose_pairs(capture: Capture, features: Sequence[Features], options: MatchO
     chosen, known = ~every_pair(count) & every_pair(count), has_position(capture)
     score = torch.full((count, count), UNLIKELY, dtype=torch.float64)
     if ways != (POSITIONS,) or not bool(known.all()):
-        alike = likeness([of_image.descriptors for of_image in features], options.ratio, seed).double()
+        alike = likeness(features, options.ratio, seed).double()
         score = UNLIKELY + alike
         chosen = _by_looks(alike, ways, known, options.per_image)
     if POSITIONS in ways:

@@ -26,7 +26,11 @@ from torchrefrac.evaluate.survey_metrics import survey_metrics
 from torchrefrac.features import Features, PairMatches, build_tracks
 from torchrefrac.figures.matches import StagePictures
 from torchrefrac.files.paths import real_path
+from torchrefrac.files.run import WORK
 from torchrefrac.files.survey import SURVEY, read_survey
+from torchrefrac.files.swap import home
+from torchrefrac.files.work import Work
+from torchrefrac.parallel import Workers
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Capture, CaptureError, Scene, Survey, SurveyError, Truth, WarningCode, with_measured
 from torchrefrac.sfm import (
@@ -69,11 +73,13 @@ def reconstruct(
     recorder: Recorder | None = None,
     on_stage: StageHook | None = None,
     survey: Survey | None = None,
+    work: Work | None = None,
 ) -> Scene:
     """Reconstruct cameras and sparse points of a capture.
 
     survey: what was measured on site, by default what the file `options.survey` says, or the survey.json beside the
-    capture.json, if there is one; `Survey.empty(capture.names)` for none.
+    capture.json, if there is one; `Survey.empty(capture.names)` for none. work: where long work is done, and where its
+    parts are left for a run that goes on from there; by default in this process, and nowhere.
 
     `on_stage(name, product, seconds)` hears of every finished stage: "features" (list of Features), "pairs"
     (ChosenPairs, which are matched; a part of matching), "levelling" (the capture with estimated verticals; only where
@@ -85,12 +91,12 @@ def reconstruct(
     survey = survey or survey_of(capture, options)
     capture = _prepared(capture, survey)
     require_pairs(capture, options.matching)
-    recorder = recorder or SilentRecorder()
+    recorder, work = recorder or SilentRecorder(), work or Work()
     stage = _Stages(on_stage)
     generator = torch.Generator().manual_seed(options.seed)
 
-    features = stage("features", lambda: extract(capture, options, recorder))
-    matches = stage.part("matching", lambda: _matched(capture, features, options, recorder, stage))
+    features = stage("features", lambda: extract(capture, options, recorder, work))
+    matches = stage.part("matching", lambda: _matched(capture, features, options, recorder, stage, work))
     ratio, stated = options.water.ratio_of(capture.index_ratio), capture
     if options.model.name == "refractive" and ratio > 1.0 and not capture.interfaces.move_with_camera:
         known = matches, features, ratio, options.sfm
@@ -102,7 +108,7 @@ def reconstruct(
                 capture = stage("levelling", lambda: with_upright_wall(level(given, *known, recorder)))
             except UnknownVerticalError as error:
                 raise ReconstructionError(str(error)) from None
-    verify = _Verification(matches, features, ratio, options, generator, recorder)
+    verify = _Verification(matches, features, ratio, options, generator, recorder, work)
     levelled = capture
     verified = stage.part("matching", lambda: verify(levelled, stated.has_gravity))
     stage("matching", lambda: verified.pairs)
@@ -167,7 +173,8 @@ def run(
     `folder`. Returns the metrics, which begin with those of `about` (such as the name of the scene).
 
     Each stage's files are written when it ends. When a stage fails or is interrupted, metrics.json says which, why, and
-    what was complete before; the dense stage goes on with the images that were finished when the same is run again.
+    what was complete before; when the same is run again it goes on with the photographs, pairs and dense views that
+    were finished.
     """
     survey = survey_of(capture, options)
     require_place(options.outputs, capture.georeference or survey.georeference)
@@ -181,8 +188,9 @@ def run(
         pictures.stage_done(name, product)
 
     known = {"model": options.model.name, "capture": str(real_path(capture.folder))} | dict(about or {})
-    with files.recording(**known, **gravity):
-        scene = reconstruct(capture, options, recorder, stage_done, survey)
+    with Workers(options.executor) as workers, files.recording(**known, **gravity):
+        work = Work(workers, home(folder) / WORK)
+        scene = reconstruct(capture, options, recorder, stage_done, survey, work)
         with recorder.meter(2, "evaluating", "") as advance:
             metrics, alignment = evaluate_run(scene, truth)
             lowered = scene.assessment.lowered_by or 0.0
@@ -193,9 +201,10 @@ def run(
         if options.compare_land and scene.interfaces.stand_in_world:
             recorder.note("the same without refraction, to compare the land")
             in_air = replace(options, water=WaterOptions(index_ratio=1.0))
-            files.metrics |= land_difference(scene, reconstruct(capture, in_air, recorder, survey=survey))
+            files.metrics |= land_difference(scene, reconstruct(capture, in_air, recorder, survey=survey, work=work))
         if options.dense.method != "none":
             dense_stage(files, scene, options.dense, options.outputs, truth, alignment, recorder)
+        work.clear()
     return files.metrics
 
 
@@ -235,12 +244,12 @@ class _Stages:
 
 
 def _matched(
-    capture: Capture, features: list[Features], options: Options, recorder: Recorder, stage: _Stages
+    capture: Capture, features: list[Features], options: Options, recorder: Recorder, stage: _Stages, work: Work
 ) -> list[PairMatches]:
     """Matches of those pairs that are worth it."""
     chosen = choose_pairs(capture, features, options.matching, options.seed)
     stage("pairs", lambda: chosen)
-    return match_pairs(features, chosen, options.matching, recorder)
+    return match_pairs(features, chosen, options.matching, recorder, work)
 
 
 def _initializer(
@@ -284,6 +293,7 @@ class _Verification:
     options: Options
     generator: torch.Generator
     recorder: Recorder
+    work: Work
 
     def __call__(self, capture: Capture, gravity_is_measured: bool) -> _Verified:
         """Once more where measured gravity cannot be right, with what takes its place."""
@@ -315,5 +325,5 @@ class _Verification:
         if land:
             initializer = PinholeInitializer(capture, sfm)
         least, chance = self.options.sfm.min_pair_inliers, self.generator
-        pairs = verify_pairs(self.matches, self.features, initializer, least, chance, self.recorder)
+        pairs = verify_pairs(self.matches, self.features, initializer, least, chance, self.recorder, self.work)
         return _Verified(capture, initializer, sfm, pairs)

@@ -11,15 +11,15 @@ from torchrefrac.commands.dense_outputs import depth_map_files
 from torchrefrac.config import OptionError
 from torchrefrac.files.colmap.model import STEMS
 from torchrefrac.files.paths import real_path
-from torchrefrac.files.run import DENSE_RESULTS, DEPTH_MAPS, METRICS, PARTS, RunRecord, RunRecordError, RunStatus
+from torchrefrac.files.run import DENSE_RESULTS, DEPTH_MAPS, METRICS, PARTS, WORK, RunRecord, RunRecordError, RunStatus
 from torchrefrac.files.swap import PARTIAL, alone, finish, swap
 from torchrefrac.record.recorders import EVENTS, LOG
 
 MODEL, WATER, REPORT, OPTIONS = "colmap", "water.json", "report.html", ".hydra"
 RESULTS = ("features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png")
 OF_ADJUST = (WATER, *(f"{MODEL}/{stem}{end}" for stem in STEMS for end in (".txt", ".bin")))
-ABOUT = (METRICS, REPORT, LOG, EVENTS, OPTIONS)  # what a folder without results may hold where nobody works
-OWN_FOLDERS = (DEPTH_MAPS, MODEL, EVENTS, OPTIONS, PARTIAL)
+ABOUT = (METRICS, REPORT, LOG, EVENTS, OPTIONS, WORK)  # what a folder without results may hold where nobody works
+OWN_FOLDERS = (DEPTH_MAPS, MODEL, EVENTS, OPTIONS, WORK, PARTIAL)
 
 
 class OutRefusedError(OptionError):
@@ -153,7 +153,7 @@ def _begin(place: Path, earlier: Iterable[str], before: RunRecord, goes_on: bool
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir()
     folder = place.parent
-    resumes = (folder / PARTS).is_dir()
+    resumes = (folder / PARTS).is_dir() or (folder / WORK).is_dir()
     dense = {REPORT, *_dense_results(folder)}
     for name in earlier:
         if (goes_on and name not in dense) or (resumes and name.startswith((LOG, EVENTS))):

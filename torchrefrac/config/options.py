@@ -11,6 +11,7 @@ from torchrefrac.dense import DenseOptions
 from torchrefrac.features import MatchOptions, SiftOptions
 from torchrefrac.files.geotiff import require_geotiff
 from torchrefrac.files.las import require_las
+from torchrefrac.parallel import ExecutorOptions
 from torchrefrac.refraction import water_index
 from torchrefrac.scene.interfaces import MAX_INDEX_RATIO
 from torchrefrac.sfm import ReadjustOptions, SfmOptions
@@ -126,6 +127,7 @@ class Options:
     sfm: SfmOptions = field(default_factory=SfmOptions)
     dense: DenseOptions = field(default_factory=DenseOptions)
     outputs: DenseOutputs = field(default_factory=DenseOutputs)
+    executor: ExecutorOptions = field(default_factory=ExecutorOptions)
     survey: str | None = None
     compare_land: bool = False
     seed: int = 0
@@ -168,15 +170,14 @@ class DensifyOptions:
 
     capture: folder of the photographs, by default the one that the run's metrics.json names. frames: a pattern of
     folders, each with photographs that the cameras of the run have taken at another moment; out: where their results
-    go, a folder each; workers: how many are made at a time, 0: as many as there are processors. quiet, report: as in
-    `OutputOptions`.
+    go, a folder each. quiet, report: as in `OutputOptions`.
     """
 
     run: str
     capture: str | None = None
     frames: str | None = None
     out: str | None = None
-    workers: int = 0
+    executor: ExecutorOptions = field(default_factory=ExecutorOptions)
     dense: DenseOptions = field(default_factory=lambda: DenseOptions(method="patch"))
     outputs: DenseOutputs = field(default_factory=DenseOutputs)
     quiet: bool = False
@@ -188,7 +189,6 @@ class DensifyOptions:
         if (self.frames is None) != (self.out is None):
             missing = "frames" if self.frames is None else "out"
             raise OptionError(f"{missing} is missing: frames are the folders of photographs, out that of their results")
-        require_ranges(self, {"workers": Range(at_least=0, at_most=1024)})
 
 
 @dataclass(frozen=True)

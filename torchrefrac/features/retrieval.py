@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn.functional import normalize, pad
 
 from torchrefrac.features.pairs import best_partners, pairs_of
+from torchrefrac.features.sift import Features
 from torchrefrac.numerics import segment_sum
 
 WORDS = 256
@@ -25,28 +26,28 @@ COSINE = 1e-3
 """Of the whole photographs, times which it counts beside the share of first keypoints that match."""
 
 
-def likeness(descriptors: Sequence[Float[Tensor, "_ d"]], ratio: float, seed: int = 0) -> Float[Tensor, "m m"]:
+def likeness(features: Sequence[Features], ratio: float, seed: int = 0) -> Float[Tensor, "m m"]:
     """How much alike photographs are: the share of their first keypoints that match, of those that are the most alike
     as a whole, and a little for how alike these are. From -COSINE to 1 + COSINE.
 
     ratio: see `MatchOptions`. A photograph without descriptors is like no other. Deterministic for a seed.
     """
-    if not any(map(len, descriptors)):
-        return torch.zeros(len(descriptors), len(descriptors))
-    words = learn_words(descriptors, seed)
-    vectors = torch.stack([aggregated(of_image, words) for of_image in descriptors])
+    if not any(map(len, features)):
+        return torch.zeros(len(features), len(features))
+    words = learn_words(features, seed)
+    vectors = torch.stack([aggregated(of_image.unit(), words) for of_image in features])
     cosine = vectors @ vectors.T
     first, second = pairs_of(best_partners(cosine, TRIED)).T
-    share = share_of_first(descriptors, first, second, ratio)
+    share = share_of_first(features, first, second, ratio)
     alike = COSINE * cosine
     return alike.index_put((first, second), share, accumulate=True).index_put((second, first), share, accumulate=True)
 
 
 def share_of_first(
-    descriptors: Sequence[Float[Tensor, "_ d"]], first: Int[Tensor, " p"], second: Int[Tensor, " p"], ratio: float
+    features: Sequence[Features], first: Int[Tensor, " p"], second: Int[Tensor, " p"], ratio: float
 ) -> Float[Tensor, " p"]:
     """Of pairs of photographs, the share of FIRST keypoints of the first that match some of the second."""
-    chosen = [of_image[:FIRST] for of_image in descriptors]
+    chosen = [of_image.unit(slice(FIRST)) for of_image in features]
     most = max(2, *map(len, chosen))
     some = torch.stack([pad(of_image, (0, 0, 0, most - len(of_image))) for of_image in chosen])
     batches = zip(first.split(BATCH), second.split(BATCH), strict=True)
@@ -62,11 +63,12 @@ def _matching(similarity: Float[Tensor, "p n n"], ratio: float) -> Float[Tensor,
     return (distinct & mutual).to(similarity).sum(dim=-1)
 
 
-def learn_words(descriptors: Sequence[Float[Tensor, "_ d"]], seed: int) -> Float[Tensor, "words d"]:
+def learn_words(features: Sequence[Features], seed: int) -> Float[Tensor, "words d"]:
     """Centres of clusters, by k-means on a sample of all descriptors; fewer than WORDS where there are as few."""
     generator = torch.Generator().manual_seed(seed)
-    share = max(SAMPLE // len(descriptors), 1)
-    some = torch.cat([of_image[torch.randperm(len(of_image), generator=generator)[:share]] for of_image in descriptors])
+    share = max(SAMPLE // len(features), 1)
+    chosen = [torch.randperm(len(of_image), generator=generator)[:share] for of_image in features]
+    some = torch.cat([of_image.unit(rows) for of_image, rows in zip(features, chosen, strict=True)])
     words = some[torch.randperm(len(some), generator=generator)[:WORDS]]
     for _ in range(ROUNDS):
         word = nearest_word(some, words)

@@ -26,6 +26,7 @@ ORIENTATIONS = 2
 """The most of one place, where the largest are wanted: others match more often than further ones would."""
 CROWDED = 600.0
 """Pixels for each keypoint that is wanted, from which on these are a small share of all that there are."""
+ALL = slice(None)
 REACH = 2.5  # diameters; three standard deviations of the widest blur that a keypoint is found in
 
 RANGES = {
@@ -69,16 +70,30 @@ class SiftOptions:
 
 @dataclass(frozen=True)
 class Features:
-    """Keypoints of one image, with unit descriptors, RGB colours, and how large their errors are expected to be,
-    relative to those in images that were not reduced."""
+    """Keypoints of one image, with descriptors, RGB colours, and how large their errors are expected to be, relative to
+    those in images that were not reduced.
+
+    descriptors: of unit length, or histograms of gradients as SIFT counts them, which take a quarter of the memory (see
+    `unit`).
+    """
 
     pixels: Float[Tensor, "k 2"]
-    descriptors: Float[Tensor, "k 128"]
+    descriptors: Float[Tensor, "k d"] | UInt8[Tensor, "k d"]
     colors: UInt8[Tensor, "k 3"]
     noise: Float[Tensor, " k"]
 
     def __len__(self) -> int:
         return len(self.pixels)
+
+    def unit(self, rows: Int[Tensor, "*some"] | slice = ALL) -> Float[Tensor, "*some d"]:
+        """Descriptors of some keypoints, by default of all, of unit length: of histograms the roots of their shares
+        (RootSIFT; Arandjelovic & Zisserman, CVPR 2012)."""
+        some = self.descriptors[rows]
+        if some.is_floating_point():
+            return some
+        counts = some.float()
+        total = counts.sum(dim=-1, keepdim=True).clamp(min=torch.finfo(counts.dtype).tiny)
+        return (counts / total).sqrt()
 
 
 def extract_sift(path: Path, options: SiftOptions, used: Bool[Tensor, "height width"] | None = None) -> Features:
@@ -86,8 +101,8 @@ def extract_sift(path: Path, options: SiftOptions, used: Bool[Tensor, "height wi
 
     used: which of its pixels may be used, by default all; no keypoint is so near to the others that it would see them.
 
-    `enable_precise_upscale` is on: without it OpenCV places keypoints a quarter of a pixel off. Descriptors are
-    RootSIFT (Arandjelovic & Zisserman, CVPR 2012). OpenCV's pixel (0, 0) is (0.5, 0.5) here.
+    `enable_precise_upscale` is on: without it OpenCV places keypoints a quarter of a pixel off. OpenCV's pixel (0, 0)
+    is (0.5, 0.5) here.
     """
     image, (across, down) = _reduced(read_color(path), options.max_pixels)
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
@@ -108,7 +123,7 @@ def extract_sift(path: Path, options: SiftOptions, used: Bool[Tensor, "height wi
     colors = image[row, column, ::-1]
     return Features(
         pixels=(torch.from_numpy(_positions(keypoints)) + 0.5) * torch.tensor((across, down), dtype=torch.float64),
-        descriptors=_root_sift(torch.from_numpy(descriptors)),
+        descriptors=torch.from_numpy(descriptors.astype(np.uint8)),  # whole numbers up to 255
         colors=torch.from_numpy(np.ascontiguousarray(colors)),
         noise=torch.full((len(keypoints),), math.sqrt(across * down), dtype=torch.float64),
     )
@@ -203,8 +218,3 @@ def _nearest_pixels(
     """Column and row of each."""
     column, row = np.rint(_positions(keypoints)).astype(int).T
     return column.clip(0, grey.shape[1] - 1), row.clip(0, grey.shape[0] - 1)
-
-
-def _root_sift(descriptors: Float[Tensor, "k 128"]) -> Float[Tensor, "k 128"]:
-    total = descriptors.sum(dim=-1, keepdim=True).clamp(min=torch.finfo(descriptors.dtype).tiny)
-    return (descriptors / total).sqrt()

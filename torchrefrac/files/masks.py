@@ -24,12 +24,12 @@ class Masks:
 
     def __init__(self, capture: Capture) -> None:
         self._capture = capture
-        self._paths = [_mask_of(capture.folder / MASKS, name) for name in capture.names]
+        self.paths = [_mask_of(capture.folder / MASKS, name) for name in capture.names]
 
     @cached_property
     def hide_something(self) -> bool:
         """Whether any image has pixels that may not be used."""
-        return any(self.used(image) is not None for image in range(len(self._paths)))
+        return any(self.used(image) is not None for image in range(len(self.paths)))
 
     def check(self) -> None:
         """Raise CaptureError for a mask that fits no image, cannot be read, or has another size than the images.
@@ -38,16 +38,16 @@ class Masks:
         listed have masks.
         """
         folder = self._capture.folder / MASKS
-        unknown = _pictures(folder) - set(self._paths) if None in self._paths else set[Path]()
+        unknown = _pictures(folder) - set(self.paths) if None in self.paths else set[Path]()
         if unknown:
             images = self._capture.paths[0].parents[len(Path(self._capture.names[0]).parts) - 1]
             others = (path.relative_to(images).as_posix() for path in _pictures(images))
             unknown -= {place for name in others for place in _places(folder, name)}
         if unknown:
-            name = self._capture.names[self._paths.index(None)]
+            name = self._capture.names[self.paths.index(None)]
             wanted = " or ".join(str(place) for place in _places(Path(MASKS), name))
             raise CaptureError(f"{min(unknown)} fits no image of capture.json; that of {name} must be {wanted}")
-        for image, path in enumerate(self._paths):
+        for image, path in enumerate(self.paths):
             if path is not None:
                 check_photograph(path)
                 self._read(path, image)
@@ -57,7 +57,7 @@ class Masks:
 
         Raises CaptureError for a mask that cannot be read or has another size than the images.
         """
-        mask = self._paths[image]
+        mask = self.paths[image]
         used = None if mask is None else self._read(mask, image)
         alpha = read_alpha(self._capture.paths[image])
         if alpha is not None:

@@ -21,6 +21,7 @@ FOR_SURVEYS = (DENSE_LAZ, POINTS_LAZ, CONTOURS, *RASTERS.values())
 DENSE_RESULTS = (DENSE_CLOUD, "mesh.ply", "dsm.npz", "dsm.png", *FOR_SURVEYS, PROFILES, DENSE_VIEW, ERROR_MAP)
 DEPTH_MAPS = "dense"  # the folder of the depth maps
 PARTS = f"{DEPTH_MAPS}/parts"  # of what is finished while the stage is not
+WORK = "work"  # the same of stages before it
 TEXTS = ("status", "reason", "command", "model", "scene", "capture", "length_unit")
 KINDS: dict[str, type] = {"stages": list, "overrides": dict, **dict.fromkeys(TEXTS, str)}  # in metrics.json
 WORDS: dict[type, str] = {list: "a list", dict: "an object", str: "a text"}

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 from jaxtyping import Float, Shaped, UInt8
 from torch import Tensor
 
-from torchrefrac.files.run import PARTS
+from torchrefrac.files.run import PARTS, WORK
 from torchrefrac.files.swap import home
 from torchrefrac.record.log_file import LogFile
 from torchrefrac.record.tensorboard import TensorBoardRecorder, remove_events
@@ -99,7 +99,7 @@ def run_recorders(
 
     All are closed, and bars that still stand on the terminal ended, whatever happens; an error goes through as it is.
     """
-    append = append or (home(folder) / PARTS).is_dir()
+    append = append or any((home(folder) / parts).is_dir() for parts in (PARTS, WORK))
     if not append:
         remove_events(folder / EVENTS)
     with ExitStack() as stack:

@@ -106,7 +106,7 @@ def _look(
     away, near = keypoints.tree.query(pixels.numpy(), k=CANDIDATES, distance_upper_bound=limits[1])
     near = torch.from_numpy(near.astype(np.int64)).reshape(len(point), CANDIDATES).clamp(max=len(features) - 1)
     exists = torch.from_numpy(away).reshape(near.shape) < limits[0] * features.noise[near]
-    similarity = torch.einsum("kd,kcd->kc", descriptor[point], features.descriptors[near])
+    similarity = torch.einsum("kd,kcd->kc", descriptor[point], features.unit(near))
     similarity = torch.where(exists, similarity, -1.0)
     best, which = similarity.max(dim=1)
     chosen = near.gather(1, which[:, None])
@@ -143,7 +143,7 @@ def _mean_descriptors(
     total = torch.zeros(len(scene.points), features[0].descriptors.shape[1])
     for view, of_view in enumerate(features):
         rows = (scene.accepted & (seen.view == view)).nonzero()[:, 0]
-        total += segment_sum(of_view.descriptors[keypoint[rows]], seen.point[rows], len(total))
+        total += segment_sum(of_view.unit(keypoint[rows]), seen.point[rows], len(total))
     return torch.nn.functional.normalize(total, dim=-1)
 
 

@@ -1,15 +1,23 @@
 """Geometric verification: which matches of a pair agree on one relative pose."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Int
 from torch import Tensor
 
 from torchrefrac.features import Features, PairMatches
+from torchrefrac.files.work import Arrays, Work
 from torchrefrac.recorder import Recorder
-from torchrefrac.sfm.pose import PairPose, PoseInitializer
+from torchrefrac.sfm.pair_arrays import POSES, packed, unpacked
+from torchrefrac.sfm.pose import PairPose, Pixels, PoseInitializer
+
+AT_ONCE = 32
+"""Pairs that are verified in one part of the work, which takes a second or two."""
 
 BY_CHANCE = 0.005
 """Share of the matches that agree, of further ones that do if nothing is bent, which wrong matches stay far below."""
@@ -38,9 +46,8 @@ def errors_are_rough(
     not flat, or something else is not as it was stated."""
     left_over = sorted(verified, key=lambda one: len(one.pair) - one.num_putative)[:SHOWN_BY]
     chosen = {(one.pair.first, one.pair.second): len(one.pair) for one in left_over}
-    generator = torch.Generator().manual_seed(0)
-    found = (_relative(wide, pair, features, generator) for pair in pairs if (pair.first, pair.second) in chosen)
-    agree = sum(0 if pose is None else int(pose.inliers.sum()) for pose in found)
+    jobs = _jobs([pair for pair in pairs if (pair.first, pair.second) in chosen], features)
+    agree = sum(0 if pose is None else int(pose.inliers.sum()) for pose in _poses_of(wide, 0, jobs))
     return agree > MORE_AGREE * sum(chosen.values())
 
 
@@ -51,18 +58,28 @@ def verify_pairs(
     min_inliers: int,
     generator: torch.Generator,
     recorder: Recorder,
+    work: Work | None = None,
 ) -> list[VerifiedPair]:
     """Keep the inliers of each pair; pairs with fewer than `min_inliers` are dropped.
 
     Where many more matches agree if they are seen straight, below the water's level, than do by chance, the water ends
-    somewhere, and these are kept too.
+    somewhere, and these are kept too. What comes out for a pair does not depend on which others there are.
     """
+    work, seed = work or Work(), int(torch.randint(1 << 31, (), generator=generator))
+    enough = [pair for pair in pairs if len(pair) >= min_inliers]
+    jobs = [_jobs(enough[at : at + AT_ONCE], features) for at in range(0, len(enough), AT_ONCE)]
+    function = partial(_poses, initializer, seed)
+    found: dict[int, list[PairPose | None]] = {}
+    with recorder.meter(len(pairs), "verifying", "pair") as advance:
+        advance(len(pairs) - len(enough), "")
+        made_from = initializer, seed, jobs
+        for number, arrays in work.parts("verification", made_from, function, jobs, POSES):
+            found[number] = unpacked(arrays)
+            advance(len(found[number]), "")
+    poses = [pose for number in range(len(jobs)) for pose in found[number]]
     verified: list[VerifiedPair] = []
     others: list[Int[Tensor, "_ 2"]] = []
-    for step, pair in enumerate(recorder.track(pairs, len(pairs), "verifying", "pair")):
-        if len(pair) < min_inliers:
-            continue
-        pose = _relative(initializer, pair, features, generator)
+    for step, (pair, pose) in enumerate(zip(enough, poses, strict=True)):
         count = int(pose.inliers.sum()) if pose is not None else 0
         recorder.scalar("verification/inliers", count, step)
         recorder.scalar("verification/inlier_ratio", count / len(pair), step)
@@ -79,9 +96,30 @@ def verify_pairs(
     ]
 
 
-def _relative(
-    initializer: PoseInitializer, pair: PairMatches, features: Sequence[Features], generator: torch.Generator
-) -> PairPose | None:
-    first = features[pair.first].pixels[pair.matches[:, 0]]
-    second = features[pair.second].pixels[pair.matches[:, 1]]
-    return initializer.relative((pair.first, pair.second), (first, second), generator)
+class _Job(NamedTuple):
+    """A pair of images, and the pixels that match."""
+
+    images: tuple[int, int]
+    pixels: Pixels
+
+
+def _jobs(pairs: Sequence[PairMatches], features: Sequence[Features]) -> list[_Job]:
+    return [
+        _Job((i, j), (features[i].pixels[pair.matches[:, 0]], features[j].pixels[pair.matches[:, 1]]))
+        for pair in pairs
+        for i, j in ((pair.first, pair.second),)
+    ]
+
+
+def _poses(initializer: PoseInitializer, seed: int, jobs: Sequence[_Job]) -> Arrays:
+    return packed(_poses_of(initializer, seed, jobs), [len(job.pixels[0]) for job in jobs])
+
+
+def _poses_of(initializer: PoseInitializer, seed: int, jobs: Sequence[_Job]) -> list[PairPose | None]:
+    """Of each pair, with draws of its own."""
+    return [initializer.relative(*job, _generator(seed, job.images)) for job in jobs]
+
+
+def _generator(seed: int, images: tuple[int, int]) -> torch.Generator:
+    number = hashlib.sha256(repr((seed, *images)).encode()).digest()[:8]
+    return torch.Generator().manual_seed(int.from_bytes(number, "big"))
