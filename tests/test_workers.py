@@ -12,24 +12,25 @@ import pytest
 from tests import worker_jobs as jobs
 from torchrefrac.parallel import ExecutorError, ExecutorOptions, Workers
 
+LONG = 60.0  # seconds that jobs seem to take
 TWO = ExecutorOptions(workers=2)
 
 
 def test_every_job_is_done_in_processes_beside_this_one():
     with Workers(TWO) as workers:
-        assert dict(workers.each(jobs.squared, range(40))) == {i: i * i for i in range(40)}
-        assert os.getpid() not in {process for _, process in workers.each(jobs.process_of, range(30))}
+        assert dict(workers.each(jobs.squared, range(40), LONG)) == {i: i * i for i in range(40)}
+        assert os.getpid() not in {process for _, process in workers.each(jobs.process_of, range(30), LONG)}
 
 
 def test_few_jobs_and_those_of_one_worker_are_done_here():
     with Workers(TWO) as workers:
-        assert {process for _, process in workers.each(jobs.process_of, range(5))} == {os.getpid()}
-    assert {process for _, process in Workers().each(jobs.process_of, range(50))} == {os.getpid()}
+        assert {process for _, process in workers.each(jobs.process_of, range(5), 1.0)} == {os.getpid()}
+    assert {process for _, process in Workers().each(jobs.process_of, range(50), LONG)} == {os.getpid()}
 
 
 def test_the_work_of_a_worker_that_is_killed_is_done_by_another(tmp_path):
     with Workers(TWO) as workers:
-        found = list(workers.each(partial(jobs.squared_unless_first, tmp_path), range(30)))
+        found = list(workers.each(partial(jobs.squared_unless_first, tmp_path), range(30), LONG))
 
     assert sorted(found) == [(i, i * i) for i in range(30)]
     assert (tmp_path / "killed").exists()
@@ -38,12 +39,12 @@ def test_the_work_of_a_worker_that_is_killed_is_done_by_another(tmp_path):
 def test_workers_that_end_again_and_again_are_an_error_that_says_what_helps(monkeypatch):
     monkeypatch.setattr("torchrefrac.parallel.workers.LOSSES", 1)
     with Workers(TWO) as workers, pytest.raises(ExecutorError, match="workers to fewer"):
-        list(workers.each(jobs.killed, range(2), few=1))
+        list(workers.each(jobs.killed, range(2), LONG))
 
 
 def test_an_error_in_a_job_is_raised_here():
     with Workers(TWO) as workers, pytest.raises(ValueError, match="number"):
-        list(workers.each(jobs.refuse, range(30)))
+        list(workers.each(jobs.refuse, range(30), LONG))
 
 
 def test_workers_end_with_the_process_that_began_them():
@@ -52,8 +53,8 @@ def test_workers_end_with_the_process_that_began_them():
         "import sys\n"
         "if __name__ == '__main__':\n"
         "    with Workers(ExecutorOptions(workers=2)) as workers:\n"
-        "        print(*{pid for _, pid in workers.each(jobs.process_of, range(30))}, flush=True)\n"
-        "        list(workers.each(jobs.waits, [60.0] * 30))\n"
+        "        print(*{pid for _, pid in workers.each(jobs.process_of, range(30), 60.0)}, flush=True)\n"
+        "        list(workers.each(jobs.waits, [60.0] * 30, 60.0))\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -86,7 +87,7 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
     options = ExecutorOptions(kind="dask", address="tcp://127.0.0.1:9")
 
     with Workers(options) as workers, pytest.raises(ExecutorError, match=r"tcp://127\.0\.0\.1:9"):
-        list(workers.each(jobs.squared, range(3)))
+        list(workers.each(jobs.squared, range(3), LONG))
 
 
 @pytest.mark.filterwarnings("ignore")  # of a cluster that loses a worker
@@ -97,8 +98,8 @@ def test_a_cluster_does_all_also_when_it_loses_a_worker(tmp_path):
         distributed.LocalCluster(**where) as cluster,
         Workers(ExecutorOptions(kind="dask", address=cluster.scheduler_address)) as workers,
     ):
-        found = list(workers.each(partial(jobs.squared_unless_first, tmp_path), range(20)))
-        processes = {process for _, process in workers.each(jobs.process_of, range(6))}
+        found = list(workers.each(partial(jobs.squared_unless_first, tmp_path), range(20), LONG))
+        processes = {process for _, process in workers.each(jobs.process_of, range(6), LONG)}
 
     assert sorted(found) == [(i, i * i) for i in range(20)]
     assert os.getpid() not in processes

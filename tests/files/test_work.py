@@ -28,7 +28,7 @@ def done():
 
 
 def _all(work, function, made_from=("x", 1), numbers=range(5)):
-    return dict(work.parts("rows", made_from, function, numbers, FORM))
+    return dict(work.parts("rows", made_from, function, numbers, FORM, 1.0))
 
 
 def test_parts_are_done_once_and_read_afterwards(tmp_path, done):

@@ -18,15 +18,16 @@ from torchrefrac.dense import DenseError
 from torchrefrac.files.clouds import CloudError
 from torchrefrac.files.run import METRICS, RunRecordError
 from torchrefrac.files.swap import FolderInUseError
+from torchrefrac.parallel import ExecutorError
 from torchrefrac.scene import CaptureError, SceneError, SurveyError
 from torchrefrac.sfm import NoInitialPairError
 from torchrefrac.sfm.known_points import CalibrationError
 from torchrefrac.sweeps.folder import SweepError, append_traceback, write_failure
 
 EXPECTED = (
-    CalibrationError, CaptureError, CloudError, CorrectionError, DenseError, ExecutorError, FolderInUseError, MemoryLackError,
-    MissingMandatoryValue, NoInitialPairError, OptionError, OSError, ReconstructionError, RunRecordError, SceneError,
-    SurveyError, SweepError, UnadjustableError,
+    CalibrationError, CaptureError, CloudError, CorrectionError, DenseError, ExecutorError, FolderInUseError,
+    MemoryLackError, MissingMandatoryValue, NoInitialPairError, OptionError, OSError, ReconstructionError,
+    RunRecordError, SceneError, SurveyError, SweepError, UnadjustableError,
 )  # fmt: skip
 """Errors whose message is for the user; all others are bugs, and come with a traceback."""
 

@@ -30,6 +30,7 @@ from torchrefrac.sfm.known_cameras import points_of_photographs
 SUMMARY = "frames.csv"
 COLUMNS = ("frame", "status", "images", "points", "dense_points", "seconds", "reason")
 FEWEST_VIEWS = 2
+SECONDS_A_FRAME = 30.0
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def densify_frames(options: DensifyOptions, recorder: Recorder) -> list[dict[str
     jobs = [Frame(folder, out / folder.name, options) for folder in folders]
     rows: dict[str, dict[str, Any]] = {}
     with Workers(options.executor) as workers:
-        for _, row in recorder.track(workers.each(densify_frame, jobs, few=2), len(jobs), "frames", "frame"):
+        for _, row in recorder.track(workers.each(densify_frame, jobs, SECONDS_A_FRAME), len(jobs), "frames", "frame"):
             rows[row["frame"]] = row
             _write([rows[name] for name in names if name in rows], out / SUMMARY)
     return [rows[name] for name in names]

@@ -20,7 +20,9 @@ KEYPOINTS = Form({"pixels": "f:n2", "colors": "c:n3", "noise": "f:n"}, mapped=("
 FIELDS = ("pixels", "descriptors", "colors", "noise")
 MATCHES = Form({"count": "i:p", "matches": "i:k2"})
 AT_ONCE = 16
-"""Pairs that are matched in one part of the work, which takes some seconds."""
+"""Pairs that are matched in one part of the work."""
+SECONDS_AN_IMAGE, SECONDS_A_PRODUCT = 0.3, 8e-9
+"""About how long an image takes, and a pair for each product of two descriptors."""
 
 
 def extract(capture: Capture, options: Options, recorder: Recorder, work: Work | None = None) -> list[Features]:
@@ -30,7 +32,7 @@ def extract(capture: Capture, options: Options, recorder: Recorder, work: Work |
     how = options.features.for_images(sum(width * height for width, height in sizes) / len(sizes))
     each = [capture.of_views([image]) for image in range(len(capture))]
     made_from = how, capture.paths, masks.paths
-    parts = work.parts("features", made_from, partial(_keypoints, how), each, KEYPOINTS)
+    parts = work.parts("features", made_from, partial(_keypoints, how), each, KEYPOINTS, SECONDS_AN_IMAGE)
     found = dict(recorder.track(parts, len(each), "features", "image"))
     return [Features(*(torch.from_numpy(found[image][name]) for name in FIELDS)) for image in range(len(each))]
 
@@ -53,9 +55,10 @@ def match_pairs(
     work, pairs = work or Work(), chosen.pairs.tolist()
     jobs = [_Pairs.of(features, pairs[start : start + AT_ONCE]) for start in range(0, len(pairs), AT_ONCE)]
     made_from = options, chosen.pairs, [[of_image.pixels, of_image.descriptors] for of_image in features]
+    seconds = AT_ONCE * SECONDS_A_PRODUCT * (sum(map(len, features)) / max(len(features), 1)) ** 2
     found: dict[int, list[PairMatches]] = {}
     with recorder.meter(len(pairs), "matching", "pair") as advance:
-        for number, arrays in work.parts("matching", made_from, partial(_matches, options), jobs, MATCHES):
+        for number, arrays in work.parts("matching", made_from, partial(_matches, options), jobs, MATCHES, seconds):
             of_each = torch.from_numpy(arrays["matches"]).split(arrays["count"].tolist())
             done = pairs[number * AT_ONCE : (number + 1) * AT_ONCE]
             found[number] = [PairMatches(i, j, each) for (i, j), each in zip(done, of_each, strict=True)]

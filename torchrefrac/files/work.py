@@ -42,15 +42,22 @@ class Work:
     folder: Path | None = None
 
     def parts(
-        self, stage: str, made_from: Sequence[Any], function: Callable[[J], Arrays], jobs: Sequence[J], form: Form
+        self,
+        stage: str,
+        made_from: Sequence[Any],
+        function: Callable[[J], Arrays],
+        jobs: Sequence[J],
+        form: Form,
+        seconds: float,
     ) -> Iterator[tuple[int, Arrays]]:
         """The number of each job, and the arrays that `function` makes of it: those that lie in the folder from before
         first, then the others as they are done.
 
-        stage: a name of small letters; made_from: all that decides what comes out, see `fingerprint_of`.
+        stage: a name of small letters; made_from: all that decides what comes out, see `fingerprint_of`;
+        seconds: about how long a job takes.
         """
         if self.folder is None:
-            yield from self.workers.each(function, jobs)
+            yield from self.workers.each(function, jobs, seconds)
             return
         place = self.folder / f"{stage}-{fingerprint_of(*made_from)}"
         left = []
@@ -60,7 +67,7 @@ class Work:
                 left.append(number)
             else:
                 yield number, found
-        for number, arrays in self.workers.each(function, [jobs[number] for number in left]):
+        for number, arrays in self.workers.each(function, [jobs[number] for number in left], seconds):
             yield left[number], _write(arrays, place, left[number], form)
 
     def clear(self) -> None:

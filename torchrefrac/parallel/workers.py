@@ -22,8 +22,9 @@ from torchrefrac.errors import TorchrefracError
 
 S = TypeVar("S")
 T = TypeVar("T")
-FEW = 24
-"""Parts, below which processes are not worth beginning: each of these takes a second or two to load what it needs."""
+WORTH_S = 10.0
+"""Time of one processor, below which processes are not worth beginning: each takes a second or two to load what it
+needs."""
 QUEUED = 3
 """Parts for each worker that it has, or that wait for it."""
 LOSSES = 3
@@ -65,7 +66,7 @@ class Workers:
         self.options = options or ExecutorOptions(workers=1)
         self._executor: Executor | None = None
         self._capacity = 1
-        self._close: Callable[[], None] = lambda: None
+        self._close: Callable[[], object] = lambda: None
 
     def __enter__(self) -> Self:
         return self
@@ -85,14 +86,15 @@ class Workers:
         """How many processes there may be on this machine."""
         return self.options.workers or torch.get_num_threads()
 
-    def each(self, function: Callable[[S], T], jobs: Sequence[S], few: int = FEW) -> Iterator[tuple[int, T]]:
+    def each(self, function: Callable[[S], T], jobs: Sequence[S], seconds: float) -> Iterator[tuple[int, T]]:
         """The number of each job and what `function` makes of it, as they are done; both must be such as can be
-        pickled. Fewer jobs than `few` are done in this process, one after the other, and so are all if it is the only
-        one.
+        pickled. seconds: about how long one takes; where all together are not worth beginning processes for, or there
+        is to be one alone, they are done in this one, one after the other.
 
         An error in a part is raised here. Raises ExecutorError where workers end again and again.
         """
-        if self.options.kind == "processes" and (len(jobs) < max(few, 2) or self.count == 1):
+        here = self.count == 1 or len(jobs) < 2 or len(jobs) * seconds < WORTH_S
+        if self.options.kind == "processes" and here:
             yield from ((number, function(job)) for number, job in enumerate(jobs))
             return
         left, losses = dict(enumerate(jobs)), 0
@@ -150,7 +152,8 @@ class Workers:
             raise ExecutorError(
                 f"no Dask scheduler answers at executor.address={self.options.address}: {reason}"
             ) from None
-        self._capacity, self._close = max(sum(client.nthreads().values()), 1), client.close
+        threads: dict[str, int] = client.nthreads()  # type: ignore[assignment] - of a client that waits
+        self._capacity, self._close = max(sum(threads.values()), 1), client.close
         return client.get_executor(pure=False)
 
 

@@ -7,6 +7,7 @@ is optimised thoroughly on all the data (local optimisation: Chum, Matas, Kittle
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -64,6 +65,43 @@ class Estimator(Protocol):
     def degeneracy(self, model: Float[Tensor, " d"], inliers: Bool[Tensor, " n"]) -> str:
         """Why the inliers do not determine the model, in a sentence; empty if they do."""
         ...
+
+
+class Estimators(Protocol):
+    """Many problems at once, numbered from 0; what `Estimator` says holds for each. owner: which one each sample or
+    model is of, ascending."""
+
+    @property
+    def sample_size(self) -> int: ...
+
+    @property
+    def num_data(self) -> Sequence[int]: ...
+
+    @property
+    def samples_per_hit(self) -> Sequence[float]: ...
+
+    def is_promising(self, problem: int) -> bool: ...
+
+    def solve(
+        self, samples: Int[Tensor, "s size"], owner: Int[Tensor, " s"]
+    ) -> tuple[Float[Tensor, "s m d"], Bool[Tensor, "s m"]]: ...
+
+    def squared_errors(
+        self, models: Float[Tensor, "k d"], owner: Int[Tensor, " k"], rows: Int[Tensor, "problems n"] | None
+    ) -> Float[Tensor, "k n"]:
+        """Infinite also where a problem has fewer data than the table; rows: -1 for none."""
+        ...
+
+    def optimize(
+        self,
+        models: Float[Tensor, "k d"],
+        owner: Int[Tensor, " k"],
+        max_error: float,
+        rows: Int[Tensor, "problems n"] | None,
+        thorough: bool,
+    ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]: ...
+
+    def degeneracy(self, problem: int, model: Float[Tensor, " d"], inliers: Bool[Tensor, " n"]) -> str: ...
 
 
 RANGES = {
@@ -131,67 +169,115 @@ def ransac(estimator: Estimator, options: RansacOptions, generator: torch.Genera
     so far, or at that of the fewest inliers that are enough, if that is higher: with few data, chance ends soon. Data
     that do not look promising are given up much earlier, if the first batch has found nothing in them.
     """
-    needed = max(estimator.sample_size + 1, options.min_inliers)
-    if estimator.num_data < needed:
-        detail = f"there are only {estimator.num_data} data, but {needed} must agree"
-        nothing = torch.zeros(estimator.num_data, dtype=torch.bool)
-        return RansacReport("too_few_data", torch.zeros(0), nothing, math.inf, 0, detail)
-    search = _Search(estimator, options, generator, needed)
-    size = options.batch_size
-    while (left := search.left) > 0:
-        search.batch(min(size, left))
-        size = min(2 * size, options.max_batch_size)
-    return search.report(needed)
+    return ransac_each(_Alone(estimator), options, [generator])[0]
+
+
+def ransac_each(
+    estimators: Estimators, options: RansacOptions, generators: Sequence[torch.Generator]
+) -> list[RansacReport]:
+    """`ransac` of many problems, whose batches are one; each draws from a generator of its own, as many samples as it
+    needs, and does not see the others."""
+    searches = [_Search(estimators, problem, options, generator) for problem, generator in enumerate(generators)]
+    rows = _screened(searches)
+    while active := [search for search in searches if search.left > 0]:
+        _batch(estimators, active, rows, options)
+    return [search.report() for search in searches]
+
+
+@dataclass(frozen=True)
+class _Alone:
+    """One problem as the only one of many."""
+
+    estimator: Estimator
+
+    @property
+    def sample_size(self) -> int:
+        return self.estimator.sample_size
+
+    @property
+    def num_data(self) -> Sequence[int]:
+        return [self.estimator.num_data]
+
+    @property
+    def samples_per_hit(self) -> Sequence[float]:
+        return [self.estimator.samples_per_hit]
+
+    def is_promising(self, problem: int) -> bool:
+        return self.estimator.is_promising
+
+    def solve(
+        self, samples: Int[Tensor, "s size"], owner: Int[Tensor, " s"]
+    ) -> tuple[Float[Tensor, "s m d"], Bool[Tensor, "s m"]]:
+        return self.estimator.solve(samples)
+
+    def squared_errors(
+        self, models: Float[Tensor, "k d"], owner: Int[Tensor, " k"], rows: Int[Tensor, "1 n"] | None
+    ) -> Float[Tensor, "k n"]:
+        return self.estimator.squared_errors(models, None if rows is None else rows[0])
+
+    def optimize(
+        self,
+        models: Float[Tensor, "k d"],
+        owner: Int[Tensor, " k"],
+        max_error: float,
+        rows: Int[Tensor, "1 n"] | None,
+        thorough: bool,
+    ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
+        return self.estimator.optimize(models, max_error, None if rows is None else rows[0], thorough)
+
+    def degeneracy(self, problem: int, model: Float[Tensor, " d"], inliers: Bool[Tensor, " n"]) -> str:
+        return self.estimator.degeneracy(model, inliers)
 
 
 class _Search:
-    """The best model so far, what it explains, and how many samples are wanted because of it."""
+    """The best model of one problem so far, what it explains, and how many samples are wanted because of it."""
 
-    def __init__(self, estimator: Estimator, options: RansacOptions, generator: torch.Generator, needed: int) -> None:
-        self.estimator, self.options, self.generator = estimator, options, generator
-        self.least = needed / estimator.num_data
-        self.drawn, self.wanted = 0, max(self._samples_at(self.least, options.confidence), options.batch_size)
+    def __init__(
+        self, estimators: Estimators, problem: int, options: RansacOptions, generator: torch.Generator
+    ) -> None:
+        self.estimators, self.problem, self.options, self.generator = estimators, problem, options, generator
+        self.count = estimators.num_data[problem]
+        self.needed = max(estimators.sample_size + 1, options.min_inliers)
+        self.enough = self.count >= self.needed
+        self.least = self.needed / max(self.count, 1)
+        self.size, self.drawn, self.wanted = options.batch_size, 0, 0
         self.model = torch.zeros(0)
-        self.inliers = torch.zeros(estimator.num_data, dtype=torch.bool)
+        self.inliers = torch.zeros(self.count, dtype=torch.bool)
         self.cost = self.screened_cost = math.inf
         self.rows: Int[Tensor, " n"] | None = None
-        if estimator.num_data > 2 * options.screening_size:
-            self.rows = torch.randperm(estimator.num_data, generator=generator)[: options.screening_size]
+        if self.enough:
+            self.wanted = max(self._samples_at(self.least, options.confidence), options.batch_size)
+            if self.count > 2 * options.screening_size:
+                self.rows = torch.randperm(self.count, generator=generator)[: options.screening_size]
 
     @property
     def left(self) -> int:
         """How many samples are still to be drawn."""
         left = min(self.wanted, self.options.max_samples) - self.drawn
-        if left <= 0 or self.drawn == 0 or self.estimator.is_promising:
+        if left <= 0 or self.drawn == 0 or self.estimators.is_promising(self.problem):
             return left
         return min(left, self._samples_at(HOPELESS_RATIO, 1.0 - MISSED) - self.drawn)
 
-    def batch(self, count: int) -> None:
-        """Draw, solve, screen; optimise the leaders, and the best of them on all data if none before was as good."""
-        estimator = self.estimator
-        samples = draw_samples(count, estimator.num_data, estimator.sample_size, self.generator)
-        models, valid = estimator.solve(samples)
+    def draw(self) -> Int[Tensor, "s size"]:
+        """The samples of its next batch, twice as many as in the one before."""
+        count = min(self.size, self.left)
+        self.size = min(2 * self.size, self.options.max_batch_size)
         self.drawn += count
-        models = models[valid]
-        if not len(models):
-            return
-        scores = self._scores(models)
-        leaders = models[scores.topk(min(self.options.leaders, len(models)), largest=False).indices]
-        leaders, costs = estimator.optimize(leaders, self.options.max_error, self.rows, thorough=False)
-        cost, index = costs.min(dim=0)
-        if float(cost) >= self.screened_cost:
-            return
-        self.screened_cost = float(cost)
-        best, costs = estimator.optimize(leaders[index][None], self.options.max_error, None, thorough=True)
-        if float(costs[0]) < self.cost:
-            self._take(best[0], float(costs[0]))
+        return draw_samples(count, self.count, self.estimators.sample_size, self.generator)
 
-    def report(self, needed: int) -> RansacReport:
+    def take(self, model: Float[Tensor, " d"], cost: float, inliers: Bool[Tensor, " n"]) -> None:
+        self.model, self.cost, self.inliers = model, cost, inliers
+        self.wanted = self._samples_at(max(float(inliers.double().mean()), self.least), self.options.confidence)
+
+    def report(self) -> RansacReport:
+        if not self.enough:
+            detail = f"there are only {self.count} data, but {self.needed} must agree"
+            return self._without_model("too_few_data", detail)
         count = int(self.inliers.sum())
-        if count < needed:
-            detail = f"only {count} of {self.estimator.num_data} data agree with the best model, but {needed} must"
+        if count < self.needed:
+            detail = f"only {count} of {self.count} data agree with the best model, but {self.needed} must"
             return self._without_model("no_consensus", detail)
-        detail = self.estimator.degeneracy(self.model, self.inliers)
+        detail = self.estimators.degeneracy(self.problem, self.model, self.inliers)
         if detail:
             return self._without_model("degenerate", detail)
         return RansacReport("success", self.model, self.inliers, self.cost, self.drawn)
@@ -199,28 +285,85 @@ class _Search:
     def _without_model(self, status: Status, detail: str) -> RansacReport:
         return RansacReport(status, self.model[:0], self.inliers, self.cost, self.drawn, detail)
 
-    def _scores(self, models: Float[Tensor, "k d"]) -> Float[Tensor, " k"]:
-        """Truncated sums of squared errors of the screening data."""
-        limit = (self.options.screening_factor * self.options.max_error) ** 2
-        size = self.estimator.num_data if self.rows is None else len(self.rows)
-        parts = models.float().split(max(1, SCORE_ELEMENTS // size))
-        return torch.cat(
-            [self.estimator.squared_errors(part, self.rows).clamp(max=limit).sum(dim=-1) for part in parts]
-        )
-
-    def _take(self, model: Float[Tensor, " d"], cost: float) -> None:
-        self.model, self.cost = model, cost
-        self.inliers = self.estimator.squared_errors(model[None], None)[0] < self.options.max_error**2
-        self.wanted = self._samples_at(max(float(self.inliers.double().mean()), self.least), self.options.confidence)
-
     def _samples_at(self, ratio: float, confidence: float) -> int:
         """How many samples are enough, with this confidence, where this share of the data are inliers."""
-        hits = ratio**self.estimator.sample_size / self.estimator.samples_per_hit
+        hits = ratio**self.estimators.sample_size / self.estimators.samples_per_hit[self.problem]
         if hits >= 1.0:
             return 0
         if hits <= 0.0:  # nothing is known of the vertical
             return self.options.max_samples
         return min(math.ceil(math.log(1.0 - confidence) / math.log1p(-hits)), self.options.max_samples)
+
+
+def _screened(searches: Sequence[_Search]) -> Int[Tensor, "problems n"] | None:
+    """Which data models of each problem are screened with, -1 where it has fewer; None: with all, in every problem."""
+    if all(search.rows is None for search in searches):
+        return None
+    rows = [
+        torch.arange(each.count, device=each.generator.device) if each.rows is None else each.rows for each in searches
+    ]
+    return torch.nn.utils.rnn.pad_sequence(rows, batch_first=True, padding_value=-1)
+
+
+def _batch(
+    estimators: Estimators, searches: Sequence[_Search], rows: Int[Tensor, "problems n"] | None, options: RansacOptions
+) -> None:
+    """Draw, solve, screen; optimise the leaders of each problem, and the best of them on all data if none before was as
+    good."""
+    samples = [search.draw() for search in searches]
+    of_sample = torch.cat(
+        [some.new_full((len(some),), each.problem) for some, each in zip(samples, searches, strict=True)]
+    )
+    models, valid = estimators.solve(torch.cat(samples), of_sample)
+    models, owner = models[valid], of_sample[valid.nonzero()[:, 0]]
+    if not len(models):
+        return
+    first = _first_of_each(_scores(estimators, models, owner, rows, options), owner, options.leaders)
+    owner = owner[first]
+    leaders, costs = estimators.optimize(models[first], owner, options.max_error, rows, thorough=False)
+    best = _first_of_each(costs, owner, 1)
+    by_problem = {search.problem: search for search in searches}
+    better = []
+    for row, problem, cost in zip(best.tolist(), owner[best].tolist(), costs[best].tolist(), strict=True):
+        if cost < by_problem[problem].screened_cost:
+            by_problem[problem].screened_cost = cost
+            better.append(row)
+    if not better:
+        return
+    owner = owner[better]
+    found, costs = estimators.optimize(leaders[better], owner, options.max_error, None, thorough=True)
+    agree = estimators.squared_errors(found, owner, None) < options.max_error**2
+    for i, (problem, cost) in enumerate(zip(owner.tolist(), costs.tolist(), strict=True)):
+        search = by_problem[problem]
+        if cost < search.cost:
+            search.take(found[i], cost, agree[i, : search.count])
+
+
+def _scores(
+    estimators: Estimators,
+    models: Float[Tensor, "k d"],
+    owner: Int[Tensor, " k"],
+    rows: Int[Tensor, "problems n"] | None,
+    options: RansacOptions,
+) -> Float[Tensor, " k"]:
+    """Truncated sums of squared errors of the screening data."""
+    limit = (options.screening_factor * options.max_error) ** 2
+    size = max(1, SCORE_ELEMENTS // (max(estimators.num_data) if rows is None else rows.shape[1]))
+    return torch.cat(
+        [
+            estimators.squared_errors(some, of, rows).clamp(max=limit).sum(dim=-1)
+            for some, of in zip(models.float().split(size), owner.split(size), strict=True)
+        ]
+    )
+
+
+def _first_of_each(costs: Float[Tensor, " k"], owner: Int[Tensor, " k"], count: int) -> Int[Tensor, " some"]:
+    """The rows of the lowest costs of each problem, at most so many, by problem and cost. owner ascends."""
+    order = costs.argsort(stable=True)
+    order = order[owner[order].argsort(stable=True)]
+    sizes = torch.unique_consecutive(owner, return_counts=True)[1]
+    rank = torch.arange(len(owner), device=owner.device) - (sizes.cumsum(dim=0) - sizes).repeat_interleave(sizes)
+    return order[rank < count]
 
 
 def draw_samples(count: int, num_data: int, size: int, generator: torch.Generator) -> Int[Tensor, "{count} {size}"]:

@@ -19,6 +19,7 @@ from torchrefrac.optim import SmallReport
 from torchrefrac.ransac.coherence import are_coherent
 from torchrefrac.ransac.degeneracy import explain_absolute, explain_relative
 from torchrefrac.refinement import OneView, TwoViews
+from torchrefrac.refinement.tilt import Limit
 
 LAST_ITERATIONS = 6
 LEAST_LIMIT = 0.05
@@ -46,9 +47,9 @@ class PoseData(Protocol):
 
     def squared_errors(self, models: Float[Tensor, "k d"]) -> Float[Tensor, "k n"]: ...
 
-    def refine(self, models: Float[Tensor, "k d"], max_error: float, max_iterations: int) -> SmallReport: ...
+    def refine(self, models: Float[Tensor, "k d"], max_error: Limit, max_iterations: int) -> SmallReport: ...
 
-    def costs(self, models: Float[Tensor, "k d"], max_error: float) -> Float[Tensor, " k"]: ...
+    def costs(self, models: Float[Tensor, "k d"], max_error: Limit) -> Float[Tensor, " k"]: ...
 
 
 D = TypeVar("D", bound=PoseData)
@@ -100,13 +101,7 @@ class PoseEstimator(Generic[D]):
         self, models: Float[Tensor, "k d"], max_error: float, rows: Int[Tensor, " n"] | None, thorough: bool
     ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
         data = self.data if rows is None else self.data.rows(rows)
-        found = _Judged.of(data, models)
-        refined = refine_in_stages(data, models, max_error, self.thorough if thorough else self.quick)
-        found = found.unless_fewer_agree(_Judged.of(data, refined), max_error)
-        if thorough:
-            refined = data.refine(found.models, tightened(found.squared_errors, max_error), LAST_ITERATIONS).states
-            found = found.unless_fewer_agree(_Judged.of(data, refined), max_error)
-        return found.models, data.costs(found.models, max_error)
+        return optimized(data, models, max_error, self.thorough if thorough else self.quick, thorough)
 
 
 class RelativePoseEstimator(PoseEstimator[TwoViews]):
@@ -195,6 +190,19 @@ def level_rays(
     return torch.cat((plane, torch.ones_like(plane[..., :1])), dim=-1) @ cam_from_level
 
 
+def optimized(
+    data: PoseData, models: Float[Tensor, "k d"], max_error: float, stages: Stages, thorough: bool
+) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
+    """Models refined in stages, a thorough optimisation with the limit of the noise at last, and their costs."""
+    found = _Judged.of(data, models)
+    refined = refine_in_stages(data, models, max_error, stages)
+    found = found.unless_fewer_agree(_Judged.of(data, refined), max_error)
+    if thorough:
+        refined = data.refine(found.models, tightened(found.squared_errors, max_error), LAST_ITERATIONS).states
+        found = found.unless_fewer_agree(_Judged.of(data, refined), max_error)
+    return found.models, data.costs(found.models, max_error)
+
+
 def refine_in_stages(
     data: PoseData, models: Float[Tensor, "k d"], max_error: float, stages: Stages
 ) -> Float[Tensor, "k d"]:
@@ -203,13 +211,12 @@ def refine_in_stages(
     return models
 
 
-def tightened(squared_errors: Float[Tensor, "k n"], max_error: float) -> float:
-    """Three robust standard deviations of the errors within max_error, in pixels.
+def tightened(squared_errors: Float[Tensor, "k n"], max_error: float) -> Float[Tensor, " k"]:
+    """Three robust standard deviations of the errors within max_error of each model, in pixels.
 
     A wrong match within max_error weighs as much as many right ones. The standard deviation is 1.4826 times the median
     of what lies within, as for noise without outliers. At most max_error, and at least LEAST_LIMIT.
     """
-    within = squared_errors[squared_errors < max_error * max_error]
-    if not len(within):
-        return max_error
-    return min(max_error, max(3.0 * 1.4826 * float(within.median().sqrt()), LEAST_LIMIT))
+    within = torch.where(squared_errors < max_error * max_error, squared_errors, torch.nan)
+    typical = within.nanmedian(dim=-1).values.sqrt()
+    return torch.where(typical.isnan(), max_error, (3.0 * 1.4826 * typical).clamp(LEAST_LIMIT, max_error))

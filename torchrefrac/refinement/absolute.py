@@ -16,7 +16,7 @@ from torchrefrac.geometry import triples
 from torchrefrac.geometry.triples import Part, Triple
 from torchrefrac.minimal.rays import require_matches
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
-from torchrefrac.refinement.tilt import Cost, prior_costs, tilted_rotation, turn_by_tilt, with_priors
+from torchrefrac.refinement.tilt import Cost, Limit, beside, prior_costs, tilted_rotation, turn_by_tilt, with_priors
 from torchrefrac.refraction import apparent_height, apparent_height_partials, screening_height
 
 TILT, HEADING, CENTER, UNKNOWNS = slice(0, 2), 2, slice(3, 6), 6
@@ -75,16 +75,17 @@ class OneView:
         v = torch.addcmul(py, y, inverse, value=-1.0) * fy
         return torch.where((z > 0.0) & (height > 0.0), torch.addcmul(u * u, v, v), torch.inf)
 
-    def costs(self, models: Models, max_error: float) -> Float[Tensor, " h"]:
+    def costs(self, models: Models, max_error: Limit) -> Float[Tensor, " h"]:
         """Truncated sums of squared errors in pixels, and the prior on the tilt."""
-        squares = self.squared_errors(models).clamp(max=max_error * max_error).sum(dim=-1)
+        squares = self.squared_errors(models)
+        squares = squares.minimum(beside(max_error, squares) ** 2).sum(dim=-1)
         return squares + 2.0 * prior_costs(models, self.gravity_sigma, self.pixel_sigma)
 
-    def refine(self, models: Models, max_error: float, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
+    def refine(self, models: Models, max_error: Limit, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
         """Minimise the truncated cost from models; points beyond max_error do not count."""
         return minimize_each(Cost(lambda states: self.linearize(states, max_error)), models, max_iterations, tolerance)
 
-    def linearize(self, models: Models, max_error: float) -> Quadratic:
+    def linearize(self, models: Models, max_error: Limit) -> Quadratic:
         """The cost in squared pixels, half a sum, and its quadratic model in the six unknowns."""
         rotation, center = self.poses(models)
         (ux, uy), height, depth = self._offsets(triples.split(center[:, None]))
@@ -107,7 +108,7 @@ class OneView:
             g = triples.scaled(scale, triples.add_scaled(rows[axis], at, rows[2], sign=-1.0))
             jacobian.append(_of_pose(g, (ux, uy, lifted), by_height, by_square))
         square = residuals[0].square() + residuals[1].square()
-        limit = max_error * max_error
+        limit = beside(max_error, square) ** 2
         inside = ahead & (square < limit)
         weight = inside.to(square.dtype)
         cost = 0.5 * torch.where(inside, square, limit).sum(dim=-1)

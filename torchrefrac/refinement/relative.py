@@ -23,7 +23,16 @@ from torchrefrac.minimal import triangulate
 from torchrefrac.minimal.rays import require_matches
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
 from torchrefrac.refinement.epipolar import EpipolarError, Pair, Views, epipolar_error, epipolar_jacobian, rays_in_water
-from torchrefrac.refinement.tilt import Cost, prior_costs, tilted_rotation, turn_by_tilt, with_priors
+from torchrefrac.refinement.tilt import (
+    Cost,
+    Limit,
+    Sigma,
+    beside,
+    prior_costs,
+    tilted_rotation,
+    turn_by_tilt,
+    with_priors,
+)
 
 HEADING, CENTER, UNKNOWNS = 4, slice(5, 8), 8
 TENSORS = ("plane1", "plane2", "cam_from_level", "focal", "index_ratio")
@@ -37,23 +46,29 @@ class TwoViews:
 
     gravity_sigma: expected error of a vertical in radians; 0 takes them for exact, infinity leaves the tilts free.
     pixel_sigma weighs pixels against it. known_heading: in radians, where it was measured too.
+
+    Of one pair of cameras, whatever the models are; or each model has one of its own: matches, verticals, focal lengths
+    and gravity_sigma then have a first dimension for the models, and `exists` says which matches there are, where a
+    pair has fewer than the table.
     """
 
-    plane1: Float[Tensor, "n 2"]
-    plane2: Float[Tensor, "n 2"]
-    cam_from_level: Float[Tensor, "2 3 3"]
-    focal: Float[Tensor, "*view 2"]
+    plane1: Float[Tensor, "*own n 2"]
+    plane2: Float[Tensor, "*own n 2"]
+    cam_from_level: Float[Tensor, "*own 2 3 3"]
+    focal: Float[Tensor, "*own_view 2"]
     index_ratio: Float[Tensor, ""]
     height: float = 1.0
-    gravity_sigma: float = 0.0
+    gravity_sigma: Sigma = 0.0
     pixel_sigma: float = 0.5
     known_heading: float | None = None
+    exists: Bool[Tensor, "own n"] | None = None
 
     def __post_init__(self) -> None:
-        require_matches(self.plane1, plane2=self.plane2)
+        if self.plane1.dim() != 3:
+            require_matches(self.plane1, plane2=self.plane2)
 
     def __len__(self) -> int:
-        return len(self.plane1)
+        return self.plane1.shape[-2]
 
     def rows(self, rows: Shaped[Tensor, " some"]) -> "TwoViews":
         """Some of the matches."""
@@ -65,7 +80,10 @@ class TwoViews:
 
     def errors(self, models: Models) -> EpipolarError:
         """Epipolar errors in pixels, and the depths at which the rays meet."""
-        return epipolar_error(*self.views(models), self.index_ratio)
+        found = epipolar_error(*self.views(models), self.index_ratio)
+        if self.exists is None:
+            return found
+        return found._replace(error=torch.where(self.exists, found.error, torch.inf), down=found.down & self.exists)
 
     def squared_errors(self, models: Models) -> Float[Tensor, "h n"]:
         """Squared epipolar errors in pixels; inf where the rays do not meet below the water."""
@@ -77,13 +95,13 @@ class TwoViews:
         rays = zip(*(rays_in_water(view, self.index_ratio) for view in self.views(models)), strict=True)
         return triangulate(*(torch.stack(torch.broadcast_tensors(*pair), dim=-2) for pair in rays))[0]
 
-    def costs(self, models: Models, max_error: float) -> Float[Tensor, " h"]:
+    def costs(self, models: Models, max_error: Limit) -> Float[Tensor, " h"]:
         """Truncated sums of squared errors in pixels, and the prior on the tilts. Matches whose rays do not meet below
         the water, or not at the depth of the bulk, count as outliers."""
         errors = self.errors(models)
-        limit = max_error * max_error
+        limit = beside(max_error, errors.error) ** 2
         inside = errors.possible & _bulk(errors, max_error)
-        cost = torch.where(inside, errors.error.square(), limit).clamp(max=limit).sum(dim=-1)
+        cost = self._sum(torch.where(inside, errors.error.square(), limit).minimum(limit))
         return cost + 2.0 * prior_costs(models, self.gravity_sigma, self.pixel_sigma)
 
     def poses(self, models: Models) -> tuple[Float[Tensor, "h 2 3 3"], Float[Tensor, "h 2 3"]]:
@@ -96,7 +114,7 @@ class TwoViews:
         """Both cameras of models; the first one as a batch of 1 where all models share it."""
         rotation, center = self.poses(models)
         rows, components = triples.rows(rotation[..., None, :, :]), triples.split(center[..., None, :])
-        count = 1 if _share_first(models) else len(models)
+        count = 1 if self.plane1.dim() == 2 and _share_first(models) else len(models)
         one, two = (
             Views(
                 tuple(tuple(entry[:n, k] for entry in row) for row in rows),  # type: ignore[arg-type]
@@ -108,25 +126,31 @@ class TwoViews:
         )
         return one, two
 
-    def refine(self, models: Models, max_error: float, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
+    def refine(self, models: Models, max_error: Limit, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
         """Minimise the truncated cost from models; matches beyond max_error do not count."""
         active = _bulk(self.errors(models), max_error)
         cost = Cost(lambda states: self.linearize(states, max_error, active))
         return minimize_each(cost, models, max_iterations, tolerance)
 
-    def linearize(self, models: Models, max_error: float, active: Bool[Tensor, "h n"]) -> Quadratic:
+    def linearize(self, models: Models, max_error: Limit, active: Bool[Tensor, "h n"]) -> Quadratic:
         """The cost in squared pixels, half a sum, and its quadratic model in the eight unknowns."""
         by = epipolar_jacobian(*self.views(models), self.index_ratio)
-        error, limit = by.error, max_error * max_error
-        inside = active & (error.abs() < max_error)
+        error, widest = by.error, beside(max_error, by.error)
+        inside = active & (error.abs() < widest)
+        inside = inside if self.exists is None else inside & self.exists
         weight = inside.to(error.dtype)
-        cost = 0.5 * torch.where(inside, error.square(), limit).sum(dim=-1)
+        cost = 0.5 * self._sum(torch.where(inside, error.square(), widest**2))
         jacobian = torch.stack((*by.turn[0], *by.turn[1], *by.center[1]), dim=1) * weight[:, None]
         chart = self._chart(models)
         hessian = chart.mT @ (jacobian @ jacobian.mT) @ chart
-        gradient = (chart.mT @ (jacobian @ (weight * error)[..., None]))[..., 0]
+        weighted = torch.where(inside, error, 0.0)
+        gradient = (chart.mT @ (jacobian @ weighted[..., None]))[..., 0]
         quadratic = Quadratic(cost, gradient, hessian)
         return with_priors(models, quadratic, self.gravity_sigma, self.pixel_sigma, self.known_heading is not None)
+
+    def _sum(self, values: Float[Tensor, "h n"]) -> Float[Tensor, " h"]:
+        """Over the matches that there are."""
+        return (values if self.exists is None else torch.where(self.exists, values, 0.0)).sum(dim=-1)
 
     def _angles(self, models: Models) -> tuple[Float[Tensor, "h 2 2"], Float[Tensor, "h 2"]]:
         """Tilts and headings of both cameras."""
@@ -148,6 +172,8 @@ class TwoViews:
 
     @cached_property
     def _focal(self) -> list[Pair]:
+        if self.focal.dim() == 3:
+            return [(fx, fy) for fx, fy in (of_view[..., None].unbind(dim=1) for of_view in self.focal.unbind(dim=1))]
         return [(fx, fy) for fx, fy in self.focal.expand(2, 2)]
 
 
@@ -156,9 +182,9 @@ def _share_first(models: Models) -> bool:
     return can_be_looked_at(models) and bool((models[:, :2] == models[:1, :2]).all())
 
 
-def _bulk(errors: EpipolarError, max_error: float) -> Bool[Tensor, "h n"]:
+def _bulk(errors: EpipolarError, max_error: Limit) -> Bool[Tensor, "h n"]:
     """Which matches lie within the depths of the middle 80 % of those within max_error, three times as wide."""
-    near = torch.where(errors.error.abs() < max_error, errors.depth, torch.nan)
+    near = torch.where(errors.error.abs() < beside(max_error, errors.error), errors.depth, torch.nan)
     low, high = torch.nanquantile(near, near.new_tensor((0.1, 0.9)), dim=-1, keepdim=True)
     span = high - low
     return (errors.depth >= low - span) & (errors.depth <= high + span)

@@ -13,8 +13,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchrefrac.checks import can_be_looked_at
 from torchrefrac.geometry import heading_rotation
 from torchrefrac.optim import Quadratic
+
+Sigma = float | Float[Tensor, " k"]
+Limit = float | Float[Tensor, " k"]
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,11 @@ class Cost:
 
     def linearize(self, states: Float[Tensor, "k d"]) -> Quadratic:
         return self.model(states)
+
+
+def beside(limit: Limit, like: Float[Tensor, "k n"]) -> Float[Tensor, "*k 1"]:
+    """A limit of the errors of all models, or of each, beside these errors."""
+    return torch.as_tensor(limit, dtype=like.dtype, device=like.device)[..., None]
 
 
 def tilted_rotation(
@@ -81,37 +90,46 @@ def _coefficients(x: Float[Tensor, "*batch"], y: Float[Tensor, "*batch"]) -> tup
 
 
 def with_priors(
-    models: Float[Tensor, "k d"], quadratic: Quadratic, gravity_sigma: float, pixel_sigma: float, known_heading: bool
+    models: Float[Tensor, "k d"], quadratic: Quadratic, gravity_sigma: Sigma, pixel_sigma: float, known_heading: bool
 ) -> Quadratic:
     """The cost of models in squared pixels with gravity as a prior on the tilts.
 
-    gravity_sigma 0 fixes the tilts, known_heading the heading: their part of the quadratic model becomes the identity.
-    A camera below the water costs infinitely much.
+    gravity_sigma, of all models or of each: 0 fixes the tilts; known_heading the heading: their part of the quadratic
+    model becomes the identity. A camera below the water costs infinitely much.
     """
     cost, gradient, hessian = quadratic
     tilts = models.shape[-1] - 4
     weight = _weights(models, gravity_sigma, pixel_sigma)
     if weight is not None:
-        gradient, hessian = gradient + weight * models, hessian + torch.diag(weight)
-    if known_heading or gravity_sigma == 0.0:
-        free = torch.ones_like(models[0])
-        free[:tilts] = float(gravity_sigma > 0.0)
-        free[tilts] = float(not known_heading)
-        gradient, hessian = gradient * free, hessian * free[:, None] * free + torch.diag(1.0 - free)
+        gradient, hessian = gradient + weight * models, hessian + torch.diag_embed(weight)
+    exact = torch.as_tensor(gravity_sigma, device=models.device) == 0.0
+    if known_heading or (can_be_looked_at(models) and bool(exact.any())):
+        free = torch.ones_like(models)
+        free[:, :tilts] = (~exact).to(models)[..., None].expand(len(models), tilts)
+        free[:, tilts] = float(not known_heading)
+        gradient = gradient * free
+        hessian = hessian * free[:, :, None] * free[:, None] + torch.diag_embed(1.0 - free)
     return Quadratic(cost + prior_costs(models, gravity_sigma, pixel_sigma), gradient, hessian)
 
 
-def prior_costs(models: Float[Tensor, "k d"], gravity_sigma: float, pixel_sigma: float) -> Float[Tensor, " k"]:
+def prior_costs(models: Float[Tensor, "k d"], gravity_sigma: Sigma, pixel_sigma: float) -> Float[Tensor, " k"]:
     """What the priors add to the costs of models, in squared pixels, half a sum."""
     weight = _weights(models, gravity_sigma, pixel_sigma)
     tilted = 0.0 if weight is None else 0.5 * (weight * models.square()).sum(dim=-1)
     return torch.where(models[:, -1] > 0.0, tilted, torch.inf)
 
 
-def _weights(models: Float[Tensor, "k d"], gravity_sigma: float, pixel_sigma: float) -> Float[Tensor, " d"] | None:
-    """Of the squares of the unknowns: those of the tilts. None where gravity is exact or unknown."""
+def _weights(models: Float[Tensor, "k d"], gravity_sigma: Sigma, pixel_sigma: float) -> Float[Tensor, "*k d"] | None:
+    """Of the squares of the unknowns: those of the tilts. None where gravity is exact or unknown of all models."""
+    tilts = models.shape[-1] - 4
+    if isinstance(gravity_sigma, Tensor):
+        weight = torch.zeros_like(models)
+        known = (gravity_sigma > 0.0) & gravity_sigma.isfinite()
+        of_each = torch.where(known, pixel_sigma / torch.where(known, gravity_sigma, 1.0), 0.0).square()
+        weight[:, :tilts] = of_each.to(models)[..., None].expand(len(models), tilts)
+        return weight
     if not 0.0 < gravity_sigma < float("inf"):
         return None
     weight = torch.zeros_like(models[0])
-    weight[: models.shape[-1] - 4] = (pixel_sigma / gravity_sigma) ** 2
+    weight[:tilts] = (pixel_sigma / gravity_sigma) ** 2
     return weight

@@ -18,7 +18,7 @@ from torchrefrac.geometry import Rigid, level_rotation
 from torchrefrac.numerics import thin
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.scene import Cameras, Capture, Interfaces, Observations, Scene, reprojection_errors
-from torchrefrac.sfm.pose import PairPose, Pixels, Pose, cameras_of, judge_pair, meet
+from torchrefrac.sfm.pose import OneByOne, PairPose, Pixels, Pose, cameras_of, judge_pair, meet
 from torchrefrac.sfm.rules import SfmOptions
 
 MIN_ESSENTIAL = 8
@@ -30,7 +30,7 @@ PAIR_SOLVER = LevenbergMarquardtOptions(max_iterations=8, function_tolerance=1e-
 
 
 @dataclass(frozen=True)
-class PinholeInitializer:
+class PinholeInitializer(OneByOne):
     """Ordinary pinhole poses, as a reconstruction that ignores the water finds them. Gravity only levels the frame.
 
     Of cameras whose intrinsics are uncertain those matches agree that have any epipolar geometry in common: what

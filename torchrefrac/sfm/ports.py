@@ -18,7 +18,7 @@ from torchrefrac.geometry import Rigid
 from torchrefrac.minimal import triangulate
 from torchrefrac.scene import Cameras, Capture, Interfaces
 from torchrefrac.sfm.pinhole import PinholeInitializer
-from torchrefrac.sfm.pose import PairPose, Pixels, Pose, cameras_of, meet
+from torchrefrac.sfm.pose import OneByOne, PairPose, Pixels, Pose, cameras_of, meet
 from torchrefrac.sfm.rules import SfmOptions
 
 FAR = 60.0
@@ -78,7 +78,7 @@ class ApparentPinholes:
 
 
 @dataclass(frozen=True)
-class PortInitializer:
+class PortInitializer(OneByOne):
     """Pinhole poses of the apparent pixels. Nothing but the port tells the scale, and that weakly: the first pair is
     put where it sees things FAR times farther than the water."""
 

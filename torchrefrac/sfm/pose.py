@@ -1,5 +1,6 @@
 """What an initialiser must be able to do: the pose of a pair, and of one more view; and which matches agree on one."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -53,6 +54,13 @@ class PoseInitializer(Protocol):
         """Pose of two images from matched pixels."""
         ...
 
+    def relative_each(
+        self, images: Sequence[tuple[int, int]], pixels: Sequence[Pixels], generators: Sequence[torch.Generator]
+    ) -> list[PairPose | None]:
+        """Poses of some pairs of images from matched pixels, each with draws of its own; best in one call for pairs
+        that have about as many matches."""
+        ...
+
     def absolute(
         self,
         image: int,
@@ -63,6 +71,18 @@ class PoseInitializer(Protocol):
     ) -> Pose | None:
         """Pose of an image, whose camera has these intrinsics, that sees known points at these pixels."""
         ...
+
+
+class OneByOne:
+    """For an initialiser that finds the poses of pairs one after the other."""
+
+    def relative(self, images: tuple[int, int], pixels: Pixels, generator: torch.Generator) -> PairPose | None:
+        raise NotImplementedError
+
+    def relative_each(
+        self, images: Sequence[tuple[int, int]], pixels: Sequence[Pixels], generators: Sequence[torch.Generator]
+    ) -> list[PairPose | None]:
+        return [self.relative(*pair) for pair in zip(images, pixels, generators, strict=True)]
 
 
 def judge_pair(

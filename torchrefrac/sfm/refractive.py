@@ -1,5 +1,6 @@
 """Poses through the water with measured verticals (paper, section 3.4)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -8,7 +9,7 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry import Rigid, level_rotation
-from torchrefrac.ransac import AbsolutePoseEstimator, RelativePoseEstimator, ransac
+from torchrefrac.ransac import AbsolutePoseEstimator, RansacReport, RelativePoseEstimators, ransac, ransac_each
 from torchrefrac.refinement import OneView, TwoViews
 from torchrefrac.scene import Capture
 from torchrefrac.sfm.pose import PairPose, Pixels, Pose, judge_pair
@@ -31,27 +32,49 @@ class RefractiveInitializer:
     options: SfmOptions
 
     def relative(self, images: tuple[int, int], pixels: Pixels, generator: torch.Generator) -> PairPose | None:
-        intrinsics = self.capture.intrinsics_of(list(images))
+        return self.relative_each([images], [pixels], [generator])[0]
+
+    def relative_each(
+        self, images: Sequence[tuple[int, int]], pixels: Sequence[Pixels], generators: Sequence[torch.Generator]
+    ) -> list[PairPose | None]:
+        if not images:
+            return []
+        least = max(self.options.min_pair_inliers, self.options.ransac.min_inliers)
+        dry = [self._dry(*pair) for pair in zip(images, pixels, strict=True)]
+        views = [self._views(*pair) for pair in zip(images, pixels, dry, strict=True)]
+        options = replace(self.options.ransac, min_inliers=least)
+        reports = ransac_each(RelativePoseEstimators(views), options, generators)
+        return [self._judged(*pair) for pair in zip(reports, views, images, pixels, dry, strict=True)]
+
+    def _views(self, images: tuple[int, int], pixels: Pixels, dry: Bool[Tensor, " k"] | None) -> TwoViews:
+        """What the pose of a pair is found by: the matches that look through the water."""
         views = TwoViews(
             *self.capture.planes(images, pixels),
             cam_from_level=level_rotation(self.capture.down_in_cam[list(images)]),
-            focal=intrinsics.focal,
+            focal=self.capture.intrinsics_of(list(images)).focal,
             index_ratio=self._ratio,
             gravity_sigma=float(self.capture.down_sigma[list(images)].max()),
             pixel_sigma=self.options.bundle.pixel_sigma,
         )
-        least = max(self.options.min_pair_inliers, self.options.ransac.min_inliers)
-        dry = self._dry(images, pixels)
-        views = views if dry is None else views.rows(~dry)
-        report = ransac(RelativePoseEstimator(views), replace(self.options.ransac, min_inliers=least), generator)
+        return views if dry is None else views.rows(~dry)
+
+    def _judged(
+        self,
+        report: RansacReport,
+        views: TwoViews,
+        images: tuple[int, int],
+        pixels: Pixels,
+        dry: Bool[Tensor, " k"] | None,
+    ) -> PairPose | None:
+        """The pose of a pair, and which of all matches agree with it."""
         if report.status == "degenerate":
             inliers = report.inliers if dry is None else (~dry).masked_scatter(~dry, report.inliers)
             return PairPose(None, None, inliers, 0.0)
         if report.status != "success":
             return None
         rotation, center = (part[0] for part in views.poses(report.model[None]))
-        pose = Rigid(rotation, center)
-        judged = judge_pair(pose, pixels, intrinsics, self._ratio, self.options.ransac.max_error, dry)
+        intrinsics, limit = self.capture.intrinsics_of(list(images)), self.options.ransac.max_error
+        judged = judge_pair(Rigid(rotation, center), pixels, intrinsics, self._ratio, limit, dry)
         return (
             judged if judged.center is None else replace(judged, center=self._before_layers(judged.center, images[0]))
         )

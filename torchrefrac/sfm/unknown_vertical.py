@@ -180,7 +180,7 @@ def _report(views: TwoViews, models: Models, max_error: float, min_inliers: int)
     from the noise."""
     if not len(models):
         return _nothing(views.plane1, "no vertical gives a pose that places the second camera above the water")
-    tight = tightened(views.squared_errors(models[:1]), max_error)
+    tight = float(tightened(views.squared_errors(models[:1]), max_error))
     models = refine_in_stages(views, models, tight, TO_THE_END)
     inliers, shuffled = (
         _agree(v, models[0], max_error) for v in (views, replace(views, plane2=views.plane2.roll(len(views) // 2, 0)))
@@ -194,7 +194,7 @@ def _report(views: TwoViews, models: Models, max_error: float, min_inliers: int)
     sigma = _sigma(views, models[0], down[0], tight)
     others = torch.atan2(torch.linalg.cross(down, down[:1].expand_as(down)).norm(dim=-1), (down * down[0]).sum(dim=-1))
     sigma = torch.maximum(sigma, others.amax(dim=0))
-    noise = tightened(views.squared_errors(models[:1]), max_error) / 3.0
+    noise = float(tightened(views.squared_errors(models[:1]), max_error)) / 3.0
     found = UnknownVertical("success", rotations[0], centers[0], inliers, down[0], sigma, noise)
     if (degrees := math.degrees(float(sigma.amax()))) <= MAX_SIGMA_DEG:
         return found

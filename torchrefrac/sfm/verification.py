@@ -17,7 +17,8 @@ from torchrefrac.sfm.pair_arrays import POSES, packed, unpacked
 from torchrefrac.sfm.pose import PairPose, Pixels, PoseInitializer
 
 AT_ONCE = 32
-"""Pairs that are verified in one part of the work, which takes a second or two."""
+"""Pairs that are verified in one part of the work."""
+SECONDS_A_PAIR = 0.05
 
 BY_CHANCE = 0.005
 """Share of the matches that agree, of further ones that do if nothing is bent, which wrong matches stay far below."""
@@ -67,19 +68,21 @@ def verify_pairs(
     """
     work, seed = work or Work(), int(torch.randint(1 << 31, (), generator=generator))
     enough = [pair for pair in pairs if len(pair) >= min_inliers]
-    jobs = [_jobs(enough[at : at + AT_ONCE], features) for at in range(0, len(enough), AT_ONCE)]
+    by_length = sorted(range(len(enough)), key=lambda i: len(enough[i]))
+    parts = [by_length[at : at + AT_ONCE] for at in range(0, len(enough), AT_ONCE)]
+    jobs = [_jobs([enough[i] for i in part], features) for part in parts]
     function = partial(_poses, initializer, seed)
-    found: dict[int, list[PairPose | None]] = {}
+    poses: dict[int, PairPose | None] = {}
     with recorder.meter(len(pairs), "verifying", "pair") as advance:
         advance(len(pairs) - len(enough), "")
         made_from = initializer, seed, jobs
-        for number, arrays in work.parts("verification", made_from, function, jobs, POSES):
-            found[number] = unpacked(arrays)
-            advance(len(found[number]), "")
-    poses = [pose for number in range(len(jobs)) for pose in found[number]]
+        for number, arrays in work.parts("verification", made_from, function, jobs, POSES, AT_ONCE * SECONDS_A_PAIR):
+            poses.update(zip(parts[number], unpacked(arrays), strict=True))
+            advance(len(parts[number]), "")
     verified: list[VerifiedPair] = []
     others: list[Int[Tensor, "_ 2"]] = []
-    for step, (pair, pose) in enumerate(zip(enough, poses, strict=True)):
+    for step, pair in enumerate(enough):
+        pose = poses[step]
         count = int(pose.inliers.sum()) if pose is not None else 0
         recorder.scalar("verification/inliers", count, step)
         recorder.scalar("verification/inlier_ratio", count / len(pair), step)
@@ -117,7 +120,8 @@ def _poses(initializer: PoseInitializer, seed: int, jobs: Sequence[_Job]) -> Arr
 
 def _poses_of(initializer: PoseInitializer, seed: int, jobs: Sequence[_Job]) -> list[PairPose | None]:
     """Of each pair, with draws of its own."""
-    return [initializer.relative(*job, _generator(seed, job.images)) for job in jobs]
+    images, pixels = [job.images for job in jobs], [job.pixels for job in jobs]
+    return initializer.relative_each(images, pixels, [_generator(seed, pair) for pair in images])
 
 
 def _generator(seed: int, images: tuple[int, int]) -> torch.Generator:

@@ -1,0 +1,123 @@
+"""Relative poses of many pairs of cameras at once, as `ransac_each` wants them estimated.
+
+Every batch of samples, hypotheses and refinements is that of all pairs: most of what one pair alone costs is
+to begin many small operations.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
+
+from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt
+from torchrefrac.minimal.known_heading import unchecked_relative_pose_3pt
+from torchrefrac.ransac.pose import RelativePoseEstimator, level_rays, optimized
+from torchrefrac.refinement import TwoViews
+
+Rows = Int[Tensor, "pairs n"] | None
+
+
+class RelativePoseEstimators:
+    """`RelativePoseEstimator` of each of some pairs, which have the index ratio, the height of the first camera and the
+    expected error of pixels in common. See `msac.Estimators`.
+
+    Tables are as wide as the pair with most matches: pairs should be alike in that.
+    """
+
+    def __init__(self, pairs: Sequence[TwoViews]) -> None:
+        self._each = [RelativePoseEstimator(views) for views in pairs]
+        first, self._headings = pairs[0], [views.known_heading for views in pairs]
+        counts = torch.tensor([len(views) for views in pairs], device=first.plane1.device)
+        plane1, plane2 = (
+            pad_sequence([getattr(views, name) for views in pairs], batch_first=True, padding_value=0.0)
+            for name in ("plane1", "plane2")
+        )
+        self._counts = counts
+        self._table = replace(
+            first,
+            plane1=plane1,
+            plane2=plane2,
+            cam_from_level=torch.stack([views.cam_from_level for views in pairs]),
+            focal=torch.stack([views.focal.expand(2, 2) for views in pairs]),
+            gravity_sigma=plane1.new_tensor([views.gravity_sigma for views in pairs]),
+            exists=torch.arange(plane1.shape[1], device=counts.device) < counts[:, None],
+        )
+        self._rays = tuple(
+            level_rays(plane, self._table.cam_from_level[:, k]) for k, plane in enumerate((plane1, plane2))
+        )
+        self._tables: dict[tuple[int | None, torch.dtype], TwoViews] = {}
+
+    @property
+    def sample_size(self) -> int:
+        return self._each[0].sample_size
+
+    @property
+    def num_data(self) -> Sequence[int]:
+        return [estimator.num_data for estimator in self._each]
+
+    @cached_property
+    def samples_per_hit(self) -> Sequence[float]:
+        return [estimator.samples_per_hit for estimator in self._each]
+
+    def is_promising(self, problem: int) -> bool:
+        return self._each[problem].is_promising
+
+    def solve(
+        self, samples: Int[Tensor, "s size"], owner: Int[Tensor, " s"]
+    ) -> tuple[Float[Tensor, "s m 8"], Bool[Tensor, "s m"]]:
+        rays1, rays2 = (rays[owner[:, None], samples] for rays in self._rays)
+        index, height = self._table.index_ratio, self._table.height
+        if self._table.known_heading is None:
+            heading, center, valid = unchecked_relative_pose_4pt(rays1, rays2, index, height)
+        else:
+            heading = rays1.new_tensor(self._headings)[owner, None]
+            center, valid = unchecked_relative_pose_3pt(rays1, rays2, heading[:, 0], index, height)
+            center, valid = center[:, None], valid[:, None]
+        tilts = torch.zeros_like(heading)[..., None].expand(*heading.shape, 4)
+        return torch.cat((tilts, heading[..., None], center), dim=-1), valid
+
+    def squared_errors(
+        self, models: Float[Tensor, "k 8"], owner: Int[Tensor, " k"], rows: Rows
+    ) -> Float[Tensor, "k n"]:
+        return self._data(owner, rows, models.dtype).squared_errors(models)
+
+    def optimize(
+        self, models: Float[Tensor, "k 8"], owner: Int[Tensor, " k"], max_error: float, rows: Rows, thorough: bool
+    ) -> tuple[Float[Tensor, "k 8"], Float[Tensor, " k"]]:
+        stages = RelativePoseEstimator.thorough if thorough else RelativePoseEstimator.quick
+        return optimized(self._data(owner, rows, models.dtype), models, max_error, stages, thorough)
+
+    def degeneracy(self, problem: int, model: Float[Tensor, " 8"], inliers: Bool[Tensor, " n"]) -> str:
+        return self._each[problem].degeneracy(model, inliers)
+
+    def _data(self, owner: Int[Tensor, " k"], rows: Rows, dtype: torch.dtype) -> TwoViews:
+        """The matches of the pair of each model."""
+        table = self._matches(rows, dtype)
+        width = table.plane1.shape[1] if rows is not None else int(self._counts[owner].max())
+        assert isinstance(table.gravity_sigma, Tensor)
+        assert table.exists is not None
+        return replace(
+            table,
+            plane1=table.plane1[owner, :width],
+            plane2=table.plane2[owner, :width],
+            cam_from_level=table.cam_from_level[owner],
+            focal=table.focal[owner],
+            gravity_sigma=table.gravity_sigma[owner],
+            exists=table.exists[owner, :width],
+        )
+
+    def _matches(self, rows: Rows, dtype: torch.dtype) -> TwoViews:
+        """Those `rows` of each pair, by default all; looked up once."""
+        key = None if rows is None else id(rows), dtype
+        if key not in self._tables:
+            table = self._table
+            if rows is not None:
+                of_pair = torch.arange(len(rows), device=rows.device)[:, None]
+                plane1, plane2 = (plane[of_pair, rows.clamp(min=0)] for plane in (table.plane1, table.plane2))
+                table = replace(table, plane1=plane1, plane2=plane2, exists=rows >= 0)
+            self._tables[key] = table.single() if dtype == torch.float32 else table
+        return self._tables[key]
