@@ -315,7 +315,7 @@ def _batch(
         [some.new_full((len(some),), each.problem) for some, each in zip(samples, searches, strict=True)]
     )
     models, valid = estimators.solve(torch.cat(samples), of_sample)
-    models, owner = models[valid], of_sample[valid.nonzero()[:, 0]]
+    models, owner = models[valid], of_sample.to(valid.device)[valid.nonzero()[:, 0]]
     if not len(models):
         return
     first = _first_of_each(_scores(estimators, models, owner, rows, options), owner, options.leaders)

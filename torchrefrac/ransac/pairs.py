@@ -6,7 +6,6 @@ to begin many small operations.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -17,6 +16,9 @@ from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt
 from torchrefrac.minimal.known_heading import unchecked_relative_pose_3pt
 from torchrefrac.ransac.pose import RelativePoseEstimator, level_rays, optimized
 from torchrefrac.refinement import TwoViews
+
+IN_CACHE = 1 << 15
+"""Matches of all models that are refined at a time."""
 
 Rows = Int[Tensor, "pairs n"] | None
 
@@ -36,7 +38,7 @@ class RelativePoseEstimators:
             pad_sequence([getattr(views, name) for views in pairs], batch_first=True, padding_value=0.0)
             for name in ("plane1", "plane2")
         )
-        self._counts = counts
+        self._counts, self._samples_per_hit = counts, [estimator.samples_per_hit for estimator in self._each]
         self._table = replace(
             first,
             plane1=plane1,
@@ -59,9 +61,9 @@ class RelativePoseEstimators:
     def num_data(self) -> Sequence[int]:
         return [estimator.num_data for estimator in self._each]
 
-    @cached_property
+    @property
     def samples_per_hit(self) -> Sequence[float]:
-        return [estimator.samples_per_hit for estimator in self._each]
+        return self._samples_per_hit
 
     def is_promising(self, problem: int) -> bool:
         return self._each[problem].is_promising
@@ -89,7 +91,11 @@ class RelativePoseEstimators:
         self, models: Float[Tensor, "k 8"], owner: Int[Tensor, " k"], max_error: float, rows: Rows, thorough: bool
     ) -> tuple[Float[Tensor, "k 8"], Float[Tensor, " k"]]:
         stages = RelativePoseEstimator.thorough if thorough else RelativePoseEstimator.quick
-        return optimized(self._data(owner, rows, models.dtype), models, max_error, stages, thorough)
+        width = int(self._counts[owner].max()) if rows is None else rows.shape[1]
+        parts = zip(*(part.split(max(IN_CACHE // max(width, 1), 1)) for part in (models, owner)), strict=True)
+        found = [optimized(self._data(of, rows, some.dtype), some, max_error, stages, thorough) for some, of in parts]
+        found, costs = zip(*found, strict=True)
+        return torch.cat(found), torch.cat(costs)
 
     def degeneracy(self, problem: int, model: Float[Tensor, " 8"], inliers: Bool[Tensor, " n"]) -> str:
         return self._each[problem].degeneracy(model, inliers)
@@ -97,18 +103,10 @@ class RelativePoseEstimators:
     def _data(self, owner: Int[Tensor, " k"], rows: Rows, dtype: torch.dtype) -> TwoViews:
         """The matches of the pair of each model."""
         table = self._matches(rows, dtype)
-        width = table.plane1.shape[1] if rows is not None else int(self._counts[owner].max())
-        assert isinstance(table.gravity_sigma, Tensor)
-        assert table.exists is not None
-        return replace(
-            table,
-            plane1=table.plane1[owner, :width],
-            plane2=table.plane2[owner, :width],
-            cam_from_level=table.cam_from_level[owner],
-            focal=table.focal[owner],
-            gravity_sigma=table.gravity_sigma[owner],
-            exists=table.exists[owner, :width],
-        )
+        width = table.plane1.shape[1] if rows is not None else max(int(self._counts[owner].max()), 1)
+        if width < table.plane1.shape[1]:
+            table = replace(table, **{name: getattr(table, name)[:, :width] for name in ("plane1", "plane2", "exists")})
+        return table.of_models(owner)
 
     def _matches(self, rows: Rows, dtype: torch.dtype) -> TwoViews:
         """Those `rows` of each pair, by default all; looked up once."""
@@ -118,6 +116,6 @@ class RelativePoseEstimators:
             if rows is not None:
                 of_pair = torch.arange(len(rows), device=rows.device)[:, None]
                 plane1, plane2 = (plane[of_pair, rows.clamp(min=0)] for plane in (table.plane1, table.plane2))
-                table = replace(table, plane1=plane1, plane2=plane2, exists=rows >= 0)
+                table = replace(table, plane1=plane1, plane2=plane2, exists=(rows >= 0).to(plane1.device))
             self._tables[key] = table.single() if dtype == torch.float32 else table
         return self._tables[key]

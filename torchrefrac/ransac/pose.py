@@ -19,7 +19,7 @@ from torchrefrac.optim import SmallReport
 from torchrefrac.ransac.coherence import are_coherent
 from torchrefrac.ransac.degeneracy import explain_absolute, explain_relative
 from torchrefrac.refinement import OneView, TwoViews
-from torchrefrac.refinement.tilt import Limit
+from torchrefrac.refinement.tilt import Limit, Sigma
 
 LAST_ITERATIONS = 6
 LEAST_LIMIT = 0.05
@@ -37,7 +37,7 @@ class PoseData(Protocol):
     def focal(self) -> Float[Tensor, "*view 2"]: ...
 
     @property
-    def gravity_sigma(self) -> float: ...
+    def gravity_sigma(self) -> Sigma: ...
 
     def __len__(self) -> int: ...
 
@@ -91,7 +91,7 @@ class PoseEstimator(Generic[D]):
     @property
     def samples_per_hit(self) -> float:
         """Measured: near one while the vertical is good to 10 pixels, and growing with its squared error from there."""
-        return 1.0 + (self.data.gravity_sigma * float(self.data.focal.mean()) / TILT_PX) ** 2
+        return 1.0 + (float(self.data.gravity_sigma) * float(self.data.focal.mean()) / TILT_PX) ** 2
 
     def squared_errors(self, models: Float[Tensor, "k d"], rows: Int[Tensor, " n"] | None) -> Float[Tensor, "k n"]:
         data = self._single if models.dtype == torch.float32 else self.data

@@ -12,9 +12,10 @@ whose depth is not far from that of the bulk.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from torchrefrac.checks import can_be_looked_at
@@ -24,7 +25,6 @@ from torchrefrac.minimal.rays import require_matches
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
 from torchrefrac.refinement.epipolar import EpipolarError, Pair, Views, epipolar_error, epipolar_jacobian, rays_in_water
 from torchrefrac.refinement.tilt import (
-    Cost,
     Limit,
     Sigma,
     beside,
@@ -129,8 +129,22 @@ class TwoViews:
     def refine(self, models: Models, max_error: Limit, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
         """Minimise the truncated cost from models; matches beyond max_error do not count."""
         active = _bulk(self.errors(models), max_error)
-        cost = Cost(lambda states: self.linearize(states, max_error, active))
-        return minimize_each(cost, models, max_iterations, tolerance)
+        return minimize_each(_Costs(self, max_error, active), models, max_iterations, tolerance)
+
+    def of_models(self, rows: Int[Tensor, " some"]) -> "TwoViews":
+        """What some of the models have, where each has its own."""
+        if self.exists is None:
+            return self
+        sigma = self.gravity_sigma
+        return replace(
+            self,
+            plane1=self.plane1[rows],
+            plane2=self.plane2[rows],
+            cam_from_level=self.cam_from_level[rows],
+            focal=self.focal[rows],
+            gravity_sigma=sigma[rows] if isinstance(sigma, Tensor) else sigma,
+            exists=self.exists[rows],
+        )
 
     def linearize(self, models: Models, max_error: Limit, active: Bool[Tensor, "h n"]) -> Quadratic:
         """The cost in squared pixels, half a sum, and its quadratic model in the eight unknowns."""
@@ -175,6 +189,21 @@ class TwoViews:
         if self.focal.dim() == 3:
             return [(fx, fy) for fx, fy in (of_view[..., None].unbind(dim=1) for of_view in self.focal.unbind(dim=1))]
         return [(fx, fy) for fx, fy in self.focal.expand(2, 2)]
+
+
+class _Costs(NamedTuple):
+    """Those of models as `Separable` problems; active: which matches count for each."""
+
+    views: TwoViews
+    max_error: Limit
+    active: Bool[Tensor, "h n"]
+
+    def linearize(self, states: Models) -> Quadratic:
+        return self.views.linearize(states, self.max_error, self.active)
+
+    def subset(self, rows: Int[Tensor, " some"]) -> "_Costs":
+        limit = self.max_error[rows] if isinstance(self.max_error, Tensor) else self.max_error
+        return _Costs(self.views.of_models(rows), limit, self.active[rows])
 
 
 def _share_first(models: Models) -> bool:
