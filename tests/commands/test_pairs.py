@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from torchrefrac.camera import Intrinsics
-from torchrefrac.commands.pairs import FEW, choose_pairs
+from torchrefrac.commands.pairs import FEW, choose_pairs, pairs_left_out
 from torchrefrac.config import OptionError
 from torchrefrac.features import Features, MatchOptions
 from torchrefrac.scene import Cameras, Capture, CaptureError, Interfaces
@@ -155,3 +155,12 @@ def test_positions_that_are_not_stated_are_refused(line):
 
     with pytest.raises(OptionError, match=r"matching\.pairs is positions, but no photograph has one; try retrieval"):
         choose_pairs(_without_positions(capture), features, MatchOptions(pairs="positions"), 0)
+
+
+def test_photographs_that_are_left_out_are_paired_with_all_that_they_were_not_tried_with():
+    tried = torch.tensor([[0, 1], [1, 2], [0, 3], [1, 4], [0, 2]])
+    registered = torch.tensor([True, True, True, False, False])
+
+    assert pairs_left_out(tried, registered).tolist() == [[0, 4], [1, 3], [2, 3], [2, 4], [3, 4]]
+    assert pairs_left_out(tried[:2], registered).tolist() == [[0, 3], [0, 4]]
+    assert len(pairs_left_out(tried, torch.ones(5, dtype=torch.bool))) == 0

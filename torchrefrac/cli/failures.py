@@ -11,8 +11,8 @@ from hydra_plugins.torchrefrac_sweeper.messages import one_sentence
 from torchrefrac.bundle import UnadjustableError
 from torchrefrac.commands.correct import CorrectionError
 from torchrefrac.commands.memory import MemoryLackError
-from torchrefrac.commands.reconstruct import ReconstructionError
 from torchrefrac.commands.results import OutRefusedError, holds_nothing
+from torchrefrac.commands.verification import ReconstructionError
 from torchrefrac.config import OptionError
 from torchrefrac.dense import DenseError
 from torchrefrac.files.clouds import CloudError

@@ -82,6 +82,17 @@ def choose_pairs(capture: Capture, features: Sequence[Features], options: MatchO
     return ChosenPairs(pairs_of(connected(chosen, score)), " and ".join(ways), count)
 
 
+def pairs_left_out(tried: Int[Tensor, "p 2"], registered: Bool[Tensor, " m"]) -> Int[Tensor, "q 2"]:
+    """Pairs of photographs that are not registered with all others, without those that were tried; no more than were
+    tried before, those with registered photographs first."""
+    count = len(registered)
+    wanted = every_pair(count) & ~(registered[:, None] & registered)
+    wanted[tried[:, 0], tried[:, 1]] = wanted[tried[:, 1], tried[:, 0]] = False
+    pairs = pairs_of(wanted)
+    alone = ~registered[pairs].any(dim=1)
+    return pairs[alone.long().argsort(stable=True)[: len(tried)]]
+
+
 def _automatic(capture: Capture) -> tuple[str, ...]:
     if len(capture) < FEW:
         return (EXHAUSTIVE,)
