@@ -13,6 +13,8 @@ from torchrefrac.features import Features, MatchOptions, PairMatches, SiftOption
 from torchrefrac.features.matching import EXHAUSTIVE
 from torchrefrac.files.masks import Masks
 from torchrefrac.files.work import Arrays, Form, Work
+from torchrefrac.numerics import device_of
+from torchrefrac.numerics.devices import AUTO
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture
 
@@ -48,8 +50,9 @@ def match_pairs(
     options: MatchOptions,
     recorder: Recorder,
     work: Work | None = None,
+    device: str = AUTO,
 ) -> list[PairMatches]:
-    """Matches of the pairs that were chosen."""
+    """Matches of the pairs that were chosen; device: where descriptors are compared, see `device_of`."""
     if chosen.by != EXHAUSTIVE:
         recorder.note(f"{len(chosen.pairs)} of {chosen.possible} pairs are matched, chosen by {chosen.by}")
     work, pairs = work or Work(), chosen.pairs.tolist()
@@ -58,7 +61,9 @@ def match_pairs(
     seconds = AT_ONCE * SECONDS_A_PRODUCT * (sum(map(len, features)) / max(len(features), 1)) ** 2
     found: dict[int, list[PairMatches]] = {}
     with recorder.meter(len(pairs), "matching", "pair") as advance:
-        for number, arrays in work.parts("matching", made_from, partial(_matches, options), jobs, MATCHES, seconds):
+        for number, arrays in work.parts(
+            "matching", made_from, partial(_matches, options, device), jobs, MATCHES, seconds
+        ):
             of_each = torch.from_numpy(arrays["matches"]).split(arrays["count"].tolist())
             done = pairs[number * AT_ONCE : (number + 1) * AT_ONCE]
             found[number] = [PairMatches(i, j, each) for (i, j), each in zip(done, of_each, strict=True)]
@@ -79,8 +84,9 @@ class _Pairs(NamedTuple):
         return cls(tuple(features[image] for image in images), tuple((place[i], place[j]) for i, j in pairs))
 
 
-def _matches(options: MatchOptions, job: _Pairs) -> Arrays:
+def _matches(options: MatchOptions, device: str, job: _Pairs) -> Arrays:
     """Of pairs that come one after the other, most of which have the first photograph in common."""
-    unit = lru_cache(maxsize=2)(lambda place: job.features[place].unit())
+    on = device_of(device)
+    unit = lru_cache(maxsize=2)(lambda place: job.features[place].unit().to(on))
     found = [match(unit(i), unit(j), options) for i, j in job.places]
-    return {"count": np.array([len(one) for one in found]), "matches": torch.cat(found).numpy()}
+    return {"count": np.array([len(one) for one in found]), "matches": torch.cat(found).cpu().numpy()}

@@ -192,4 +192,4 @@ def _matched(
     """Matches of those pairs that are worth it."""
     chosen = choose_pairs(capture, features, options.matching, options.seed)
     stage("pairs", lambda: chosen)
-    return match_pairs(features, chosen, options.matching, recorder, work)
+    return match_pairs(features, chosen, options.matching, recorder, work, options.device)

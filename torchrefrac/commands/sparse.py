@@ -75,7 +75,8 @@ class SparseStage:
         lost = len(found.views) - found.views.num_registered
         verify.recorder.note(f"{lost} images are not registered; they are matched with others, too")
         chosen = ChosenPairs(left, "what is missing", len(found.views))
-        return match_pairs(verify.features, chosen, verify.options.matching, verify.recorder, verify.work)
+        options = verify.options
+        return match_pairs(verify.features, chosen, options.matching, verify.recorder, verify.work, options.device)
 
     def _assessed(self, found: Scene) -> Scene:
         """With what images say of what was stated, and where the scene stands on the map."""

@@ -11,6 +11,8 @@ from torchrefrac.dense import DenseOptions
 from torchrefrac.features import MatchOptions, SiftOptions
 from torchrefrac.files.geotiff import require_geotiff
 from torchrefrac.files.las import require_las
+from torchrefrac.numerics import device_of
+from torchrefrac.numerics.devices import AUTO
 from torchrefrac.parallel import ExecutorOptions
 from torchrefrac.refraction import water_index
 from torchrefrac.scene.interfaces import MAX_INDEX_RATIO
@@ -117,7 +119,7 @@ class Options:
 
     survey: path of a survey.json, a gcp_list.txt or a table of control points; None: the survey.json beside the
     capture.json, if there is one. compare_land: whether the photographs are reconstructed without refraction, too, to
-    say how far land differs.
+    say how far land differs. device: where descriptors are matched, see `device_of`.
     """
 
     model: ModelOptions = field(default_factory=ModelOptions)
@@ -130,10 +132,12 @@ class Options:
     executor: ExecutorOptions = field(default_factory=ExecutorOptions)
     survey: str | None = None
     compare_land: bool = False
+    device: str = AUTO
     seed: int = 0
 
     def __post_init__(self) -> None:
         require_ranges(self, {"seed": SEED})
+        device_of(self.device)
         if self.outputs.for_surveys and self.dense.method == "none":
             raise OptionError(
                 "dense.method is 'none', but outputs.geotiff, laz and contours are made of the dense surface: set "
@@ -170,7 +174,7 @@ class DensifyOptions:
 
     capture: folder of the photographs, by default the one that the run's metrics.json names. frames: a pattern of
     folders, each with photographs that the cameras of the run have taken at another moment; out: where their results
-    go, a folder each. quiet, report: as in `OutputOptions`.
+    go, a folder each. device: by default that of `dense`. quiet, report: as in `OutputOptions`.
     """
 
     run: str
@@ -178,6 +182,7 @@ class DensifyOptions:
     frames: str | None = None
     out: str | None = None
     executor: ExecutorOptions = field(default_factory=ExecutorOptions)
+    device: str = AUTO
     dense: DenseOptions = field(default_factory=lambda: DenseOptions(method="patch"))
     outputs: DenseOutputs = field(default_factory=DenseOutputs)
     quiet: bool = False

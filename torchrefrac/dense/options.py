@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-import torch
-
 from torchrefrac.checks import Range, require_ranges
+from torchrefrac.numerics import device_of
+from torchrefrac.numerics.devices import AUTO
 
 Method = Literal["none", "patch", "depthmap"]
 COUNT, SOME = Range(at_least=1, at_most=1_000_000), Range(at_least=2, at_most=1_000_000)
@@ -57,7 +57,7 @@ class DenseOptions:
     along its ray, as the shift that it makes in the other images. loss_scale: of 1 - ZNCC, where an image begins to
     count less. levels: sizes of each image, every one half of the one before. iterations: of a patch's adjustment.
     batch: patches refined at once. max_tile: pixels across of what is worked on at once, for large images. device:
-    where the work is done, as PyTorch names it (cpu, cuda).
+    where the work is done, see `device_of`.
 
     Raises ValueError for values that cannot be right.
     """
@@ -82,7 +82,7 @@ class DenseOptions:
     iterations: int = 8
     batch: int = 2048
     max_tile: int = 2048
-    device: str = "cpu"
+    device: str = AUTO
     sweep: SweepOptions = field(default_factory=SweepOptions)
 
     def __post_init__(self) -> None:
@@ -99,7 +99,7 @@ class DenseOptions:
             raise ValueError(
                 f"max_slant is {self.max_slant:g}, but must be below 90 degrees: a patch has to face the ray"
             )
-        _require_device(self.device)
+        device_of(self.device)
         if self.method == "depthmap" and self.levels <= max(self.sweep.level, 1):
             raise ValueError(
                 f"levels is {self.levels}, but a sweep in copies that are halved {self.sweep.level} times needs "
@@ -115,13 +115,3 @@ def _require_window(window: int) -> None:
 def _require_score(score: float) -> None:
     if not 0.0 < score < 1.0:
         raise ValueError(f"min_score is {score:g}, but must lie between 0 and 1")
-
-
-def _require_device(name: str) -> None:
-    if name == "cpu":
-        return
-    try:
-        torch.empty(0, device=name)
-    except (RuntimeError, AssertionError) as error:  # an assertion where PyTorch was built without CUDA
-        reason = str(error).split("\n", maxsplit=1)[0]
-        raise ValueError(f"device is {name!r}, which PyTorch cannot use here: {reason}") from None

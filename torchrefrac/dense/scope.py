@@ -14,6 +14,7 @@ from torchrefrac.dense.matching.interest_points import InterestPoints
 from torchrefrac.dense.neighbours import Neighbourhood
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.rays import PixelRays
+from torchrefrac.numerics import device_of
 
 Box = tuple[int, int, int, int]  # left, top, right, bottom in pixels
 BORDER_SAMPLES, DEPTH_SAMPLES = 9, 7
@@ -69,7 +70,7 @@ class Scope(Neighbourhood):
 
 def scopes(neighbourhood: Neighbourhood, images: Images, options: DenseOptions) -> Iterator[Scope]:
     """The scopes of all tiles of the reference; one for the whole where it is small enough."""
-    device, (height, width) = torch.device(options.device), images.size(int(neighbourhood.ids[0]))
+    device, (height, width) = device_of(options.device), images.size(int(neighbourhood.ids[0]))
     whole = max(width, height) <= options.max_tile
     for tile in [(0, 0, width, height)] if whole else tile_boxes(width, height, options):
         boxes = _whole(neighbourhood, images) if whole else _boxes(neighbourhood, images, tile, options)
