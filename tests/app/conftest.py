@@ -171,7 +171,7 @@ def known_sparse(monkeypatch, sparse):
     """A run finds its sparse model at once."""
     known = densification.open_run(sparse / "run").scene
 
-    def reconstruct(capture, _options, _recorder, on_stage, _survey):
+    def reconstruct(capture, _options, _recorder, on_stage, _survey, _work):
         scene = replace(known, capture=capture)
         on_stage("sparse", scene, 0.0)
         return scene

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from torchrefrac.commands import reconstruct as pipeline
+from torchrefrac.commands import sparse as sparse_stage
 from torchrefrac.files.cameras import load_cameras, load_points
 
 RESULTS = {"cameras.json", "points.ply", "metrics.json", "side_view.png", "features.npz", "matches.npz", "tracks.npz"}
@@ -139,7 +139,7 @@ def test_an_interrupt_leaves_the_finished_stages(torchrefrac, small_tank, metric
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(pipeline, "reconstruct_sparse", interrupted)
+    monkeypatch.setattr(sparse_stage, "reconstruct_sparse", interrupted)
     ended = torchrefrac("scene=capture", f"scene.path={small_tank}", FEWER, "out=run")
     assert ended.status == 130
     run = small_tank.parent / "run"
