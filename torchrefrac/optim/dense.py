@@ -10,6 +10,7 @@ inverse for all eliminated blocks never. A gauge that is free is fixed by inner 
 the covariance has the least trace, and none along the gauge.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -78,7 +79,10 @@ class GaussNewtonInverse:
 
     @classmethod
     def of(cls, system: NormalEquations) -> "GaussNewtonInverse":
-        """Factorise undamped. Raises SingularError where the system is singular beyond its null space."""
+        """Factorise undamped. Raises SingularError where the system is singular beyond its null space, or where there
+        are more than MAX_COVARIANCE reduced unknowns, whose dense matrix does not fit."""
+        if system.plan.size > MAX_COVARIANCE:
+            raise SingularError(f"there are {system.plan.size} reduced unknowns, more than {MAX_COVARIANCE}")
         if system.null_space is not None:  # restricted to the unknowns that something depends on
             moving = torch.where(system.dead[:, None], 0.0, system.null_space)
             system = replace(system, null_space=torch.linalg.qr(moving).Q)
@@ -102,6 +106,24 @@ class GaussNewtonInverse:
         reduced = torch.where(self.dead, 0.0, reduced)
         places = self.elimination.times_inverse(places - self.elimination.to_eliminated(reduced))
         return torch.cat((reduced, places[:, plan.place_of].T.flatten()))
+
+    def covariance_times(self, directions: Float[Tensor, "size k"]) -> Float[Tensor, "size k"]:
+        """The covariance of the reduced unknowns (see `Covariance`) times columns."""
+        moving, null_space = torch.where(self.dead[:, None], 0.0, directions), self.elimination.system.null_space
+        times = torch.cholesky_solve(moving * self.scale[:, None], self.factor) * self.scale[:, None]
+        if null_space is not None:
+            times = times - null_space @ (null_space.T @ moving) / self.stiffness
+        return torch.where(self.dead[:, None], 0.0, times)
+
+    def deviations(self, directions: Float[Tensor, "size k"]) -> Float[Tensor, " k"]:
+        """Standard deviations of combinations of the reduced unknowns, where residuals have variance one."""
+        return (directions * self.covariance_times(directions)).sum(dim=0).clamp(min=0.0).sqrt()
+
+    def deviations_of(self, unknowns: Sequence[int]) -> Float[Tensor, " k"]:
+        """Those of some of the reduced unknowns."""
+        units = self.scale.new_zeros(len(self.scale), len(unknowns))
+        units[list(unknowns), range(len(unknowns))] = 1.0
+        return self.deviations(units)
 
     def propagate(
         self, errors: Float[Tensor, "residuals observations"]
@@ -155,10 +177,7 @@ class Covariance:
 
     @classmethod
     def of(cls, system: NormalEquations) -> "Covariance":
-        """Raises SingularError where something beyond the null space of `system` is not determined, or where there are
-        more than MAX_COVARIANCE reduced unknowns, whose dense inverse does not fit."""
-        if system.plan.size > MAX_COVARIANCE:
-            raise SingularError(f"there are {system.plan.size} reduced unknowns, more than {MAX_COVARIANCE}")
+        """Raises what `GaussNewtonInverse.of` raises."""
         found = GaussNewtonInverse.of(system)
         inverse = torch.cholesky_inverse(found.factor)
         inverse.mul_(found.scale[:, None]).mul_(found.scale)
