@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.checks import TorchrefracError
+from torchrefrac.optim.bordered import BorderedFactor
 from torchrefrac.optim.elimination import Elimination, Tiles
 from torchrefrac.optim.normal_equations import DIAGONAL, NEGLIGIBLE, NormalEquations, in_cache
 from torchrefrac.optim.plan import ELIMINATED_SIZE, REDUCED_SIZE, TILE
@@ -33,10 +34,10 @@ def solve_dense(elimination: Elimination) -> tuple[Float[Tensor, " size"], Bool[
     matrix, negative = elimination.reduced()
     matrix.diagonal().add_(elimination.damping * system.diagonal)
     scale, _ = prepare(matrix, system)
-    factor, info = torch.linalg.cholesky_ex(matrix)
-    solution = -torch.cholesky_solve((negative * scale)[:, None], factor)[:, 0] * scale
+    factor = BorderedFactor.of(matrix, system.lone_blocks)
+    solution = -factor.solve((negative * scale)[:, None])[:, 0] * scale
     pivot = factor.diagonal().square().amin()  # of a matrix with a unit diagonal
-    solved = (info == 0) & (pivot > len(factor) * torch.finfo(factor.dtype).eps) & solution.isfinite().all()
+    solved = factor.found & (pivot > len(factor) * torch.finfo(scale.dtype).eps) & solution.isfinite().all()
     return torch.where(solved, solution, 0.0), solved
 
 
@@ -72,7 +73,7 @@ class GaussNewtonInverse:
     """
 
     elimination: Elimination
-    factor: Float[Tensor, "size size"]
+    factor: BorderedFactor
     scale: Float[Tensor, " size"]
     stiffness: Float[Tensor, ""]
     dead: Bool[Tensor, " size"]
@@ -89,8 +90,9 @@ class GaussNewtonInverse:
         elimination = Elimination(system, 0.0)
         matrix, _ = elimination.reduced()
         scale, stiffness = prepare(matrix, system)
-        factor, info = torch.linalg.cholesky_ex(matrix)
-        if int(info) or _smallest_eigenvalue(factor) < ROUNDING * len(factor) * torch.finfo(factor.dtype).eps:
+        factor = BorderedFactor.of(matrix, system.lone_blocks)
+        rounding = ROUNDING * len(factor) * torch.finfo(scale.dtype).eps
+        if not bool(factor.found) or _smallest_eigenvalue(factor) < rounding:
             raise SingularError("the normal equations are singular")
         return cls(elimination, factor, scale, stiffness, system.dead)
 
@@ -102,7 +104,7 @@ class GaussNewtonInverse:
         places *= (self.elimination.system.eliminated_hessian[DIAGONAL] > NEGLIGIBLE).any(dim=0)
         right = torch.where(self.dead, 0.0, vector[: plan.size])
         right = right - self.elimination.to_reduced(self.elimination.times_inverse(places))
-        reduced = torch.cholesky_solve((right * self.scale)[:, None], self.factor)[:, 0] * self.scale
+        reduced = self.factor.solve((right * self.scale)[:, None])[:, 0] * self.scale
         reduced = torch.where(self.dead, 0.0, reduced)
         places = self.elimination.times_inverse(places - self.elimination.to_eliminated(reduced))
         return torch.cat((reduced, places[:, plan.place_of].T.flatten()))
@@ -110,7 +112,7 @@ class GaussNewtonInverse:
     def covariance_times(self, directions: Float[Tensor, "size k"]) -> Float[Tensor, "size k"]:
         """The covariance of the reduced unknowns (see `Covariance`) times columns."""
         moving, null_space = torch.where(self.dead[:, None], 0.0, directions), self.elimination.system.null_space
-        times = torch.cholesky_solve(moving * self.scale[:, None], self.factor) * self.scale[:, None]
+        times = self.factor.solve(moving * self.scale[:, None]) * self.scale[:, None]
         if null_space is not None:
             times = times - null_space @ (null_space.T @ moving) / self.stiffness
         return torch.where(self.dead[:, None], 0.0, times)
@@ -159,11 +161,11 @@ class GaussNewtonInverse:
         return torch.nn.functional.pad(reduced, (0, len(vector) - len(reduced)))
 
 
-def _smallest_eigenvalue(factor: Float[Tensor, "size size"]) -> float:
+def _smallest_eigenvalue(factor: BorderedFactor) -> float:
     """Of L L^T, by inverse iteration. A small pivot need not betray it."""
-    vector = torch.arange(len(factor), dtype=factor.dtype, device=factor.device).cos()[:, None]
+    vector = torch.arange(len(factor), dtype=factor.head.dtype, device=factor.head.device).cos()[:, None]
     for _ in range(3):
-        vector = torch.cholesky_solve(vector / vector.norm(), factor)
+        vector = factor.solve(vector / vector.norm())
     return 1.0 / float(vector.norm())
 
 
@@ -179,7 +181,7 @@ class Covariance:
     def of(cls, system: NormalEquations) -> "Covariance":
         """Raises what `GaussNewtonInverse.of` raises."""
         found = GaussNewtonInverse.of(system)
-        inverse = torch.cholesky_inverse(found.factor)
+        inverse = found.factor.inverse()
         inverse.mul_(found.scale[:, None]).mul_(found.scale)
         null_space = found.elimination.system.null_space
         if null_space is not None:
