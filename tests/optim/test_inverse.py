@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.optim.linear_problems import with_gauge
-from torchrefrac.optim import GaussNewtonInverse, SingularError
+from torchrefrac.optim import Covariance, GaussNewtonInverse, SingularError
 
 SHAPES = [
     {},
@@ -112,3 +112,17 @@ def test_a_matrix_that_is_singular_beyond_its_gauge_raises(make_linear, draw, kn
 
         with pytest.raises(SingularError, match="the normal equations are singular"):
             GaussNewtonInverse.of(linear.system(null_space[:, :known] if known else None))
+
+
+@shapes
+@pytest.mark.parametrize("gauge", [False, True])
+def test_deviations_of_combinations_are_those_of_the_covariance(make_linear, draw, shape, gauge):
+    linear, null_space = with_gauge(often_seen(make_linear(**{**shape, "extra": 0})), draw)
+    system = linear.system(null_space) if gauge else often_seen(make_linear(**shape)).system()
+    directions = draw.normal(system.plan.size, 3)
+
+    inverse, covariance = GaussNewtonInverse.of(system), Covariance.of(system).reduced
+
+    close(inverse.covariance_times(directions), covariance @ directions)
+    close(inverse.deviations(directions).square(), (directions.T @ covariance @ directions).diagonal())
+    close(inverse.deviations_of([4, 1]).square(), covariance.diagonal()[[4, 1]])

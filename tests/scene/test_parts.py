@@ -120,6 +120,26 @@ def test_a_part_leaves_out_points_with_too_few_observations(growing):
     assert len(part.scene.observations) == int(count[count >= 2].sum())
 
 
+def test_a_part_of_some_points_has_the_views_that_observe_them(growing):
+    of = torch.arange(30) == int(growing.observations.point[growing.accepted][0])
+
+    part = growing.part(of=of)
+
+    rows = growing.accepted & of[growing.observations.point]
+    assert part.point.tolist() == of.nonzero()[:, 0].tolist()
+    assert part.view.tolist() == growing.observations.view[rows].unique().tolist()
+    assert torch.equal(part.view[part.scene.observations.view], growing.observations.view[rows])
+    part.scene.check()
+
+
+def test_points_that_views_see_and_those_that_they_support(growing):
+    views, seen = torch.tensor((False, True, False, True)), growing.observations
+
+    rows = views[seen.view]
+    assert growing.seen_by(views).nonzero()[:, 0].tolist() == seen.point[rows].unique().tolist()
+    assert growing.supported_by(views).nonzero()[:, 0].tolist() == seen.point[rows & growing.accepted].unique().tolist()
+
+
 def test_accepted_observations_of_points_without_a_position_take_no_part(growing):
     part = replace(growing, placed=torch.arange(30) >= 10).part()
 

@@ -10,6 +10,7 @@ from torchrefrac.camera import RefractiveCamera
 from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.scene import Cameras
+from torchrefrac.sfm import levels
 from torchrefrac.sfm.levels import smaller_group
 
 
@@ -39,14 +40,25 @@ def test_the_images_of_the_other_day_are_named_with_how_the_water_rose(of_two_da
     survey = of_two_days(rise, later)
     scene = reconstruct(survey)
     found, *others = contradictions(scene, survey.capture)
-    levels = scene.assessment.levels
+    higher = scene.assessment.levels
     named = [image in later for image in range(6)]
     assert found.code == "water_level_contradicts"
-    assert levels is not None
-    assert (levels != 0.0).tolist() in (named, [not each for each in named])
-    assert float(levels.abs().max()) == pytest.approx(abs(rise), rel=0.05)
+    assert higher is not None
+    assert (higher != 0.0).tolist() in (named, [not each for each in named])
+    assert float(higher.abs().max()) == pytest.approx(abs(rise), rel=0.05)
     assert [str(other.code) for other in others] == []
     assert ("higher" if rise > 0.0 else "lower") in found.message or len(later) == 3
+
+
+def test_views_one_after_the_other_may_have_a_surface_together(of_two_days, monkeypatch):
+    monkeypatch.setattr(levels, "MOST_SURFACES", 4)
+    survey = of_two_days(3.0, (3, 4, 5))
+
+    found = reconstruct(survey).assessment.levels
+
+    assert found is not None
+    assert (found != 0.0).tolist() in ([False] * 3 + [True] * 3, [True] * 3 + [False] * 3)
+    assert float(found.abs().max()) == pytest.approx(3.0, rel=0.05)
 
 
 @pytest.mark.parametrize("focal", [1.0, 1.05])

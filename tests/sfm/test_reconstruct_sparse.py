@@ -122,6 +122,18 @@ def test_land_and_water_are_reconstructed_together(survey_of):
     assert distance[~dry].median() < 0.2
 
 
+def test_many_images_are_registered_in_rounds_and_adjusted_locally_as_exactly(survey_of, recorder):
+    survey = survey_of(cameras=9, points=200, **HARD)
+
+    result = reconstruct(survey, replace(OPTIONS, many_images=4, global_growth=1.5), recorder)
+
+    after_rounds = [int(step) for name, _, step in recorder.scalars if name == "registration/images"]
+    assert after_rounds == [3, 4, 6, 9]
+    assert result.views.registered.all()
+    centers = align_above_plane(result.views.center, survey.basin.center).apply(result.views.center)
+    assert (centers - survey.basin.center).norm(dim=-1).amax() < 0.1
+
+
 def test_two_images_are_enough(survey_of):
     survey = survey_of(cameras=2, points=150, noise=0.1)
 

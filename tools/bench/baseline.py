@@ -75,6 +75,7 @@ def _benches(data: Path, ceres: Path | None) -> dict[str, list[str]]:
         "matching": [],
         "pairs": [],
         "verification": [],
+        "scale": ["--views", "50,100"],
     }
     if photographs.is_dir():
         benches["photographs"] = [str(photographs)]

@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.bundle.rows import INTRINSICS, MEDIA, WATER
-from torchrefrac.optim import Covariance, SingularError
+from torchrefrac.optim import GaussNewtonInverse, SingularError
 from torchrefrac.scene import Scene
 
 Given = Literal["index_ratio", "layer_thickness", "focal"]
@@ -38,12 +38,15 @@ def wished_changes(
     asked = problem.with_layout(scene, layout, options, problem.terms)
     linearized = asked.linearize(scene)
     try:
-        covariance = Covariance.of(linearized.system)
+        inverse = GaussNewtonInverse.of(linearized.system)
     except SingularError:
         return {}
-    step, variance = linearized.solve(0.0).reduced, covariance.reduced.diagonal().clamp(min=0.0)
+    step = linearized.solve(0.0).reduced
     columns = columns_of(scene, layout, name, problem.layout.fixed_intrinsics.get(name))
-    return {key: (float(step[column]), pixel_sigma * float(variance[column].sqrt())) for key, column in columns.items()}
+    sigmas = pixel_sigma * inverse.deviations_of(list(columns.values()))
+    return {
+        key: (float(step[column]), float(sigma)) for (key, column), sigma in zip(columns.items(), sigmas, strict=True)
+    }
 
 
 def columns_of(scene: Scene, layout: Layout, name: Given, which: Bool[Tensor, "g 1"] | None = None) -> dict[str, int]:

@@ -19,7 +19,8 @@ What is computed when, for N observations of w reduced unknowns each:
 - once per damping, `Elimination`: the factors of V, 6 n numbers; then S, by `Linearized.solver`:
   - dense, up to MAX_DENSE = 7200 reduced unknowns: S itself, size^2 numbers (415 MB in double precision) from tiles of
     small dense products, about 160 n t^2 flops for eliminated blocks that meet t reduced ones, and size^3 / 3 flops of
-    Cholesky. Exact also in directions that are all but flat.
+    Cholesky, less where many unknowns are in blocks of their own (`BorderedFactor`). Exact also in directions that are
+    all but flat.
   - iterative, beyond: conjugate gradients on S x = E (V^-1 (E^T x)), about 4 N r (w + 3) flops and two passes over the
     rows an iteration, no memory beyond vectors; preconditioned block by block and along a few weak directions.
 - once at the end, `Covariance` and `GaussNewtonInverse`: dense, size^3 flops, up to MAX_COVARIANCE = 12000 unknowns.

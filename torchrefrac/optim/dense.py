@@ -10,6 +10,7 @@ inverse for all eliminated blocks never. A gauge that is free is fixed by inner 
 the covariance has the least trace, and none along the gauge.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -17,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.checks import TorchrefracError
+from torchrefrac.optim.bordered import BorderedFactor
 from torchrefrac.optim.elimination import Elimination, Tiles
 from torchrefrac.optim.normal_equations import DIAGONAL, NEGLIGIBLE, NormalEquations, in_cache
 from torchrefrac.optim.plan import ELIMINATED_SIZE, REDUCED_SIZE, TILE
@@ -32,10 +34,10 @@ def solve_dense(elimination: Elimination) -> tuple[Float[Tensor, " size"], Bool[
     matrix, negative = elimination.reduced()
     matrix.diagonal().add_(elimination.damping * system.diagonal)
     scale, _ = prepare(matrix, system)
-    factor, info = torch.linalg.cholesky_ex(matrix)
-    solution = -torch.cholesky_solve((negative * scale)[:, None], factor)[:, 0] * scale
+    factor = BorderedFactor.of(matrix, system.lone_blocks)
+    solution = -factor.solve((negative * scale)[:, None])[:, 0] * scale
     pivot = factor.diagonal().square().amin()  # of a matrix with a unit diagonal
-    solved = (info == 0) & (pivot > len(factor) * torch.finfo(factor.dtype).eps) & solution.isfinite().all()
+    solved = factor.found & (pivot > len(factor) * torch.finfo(scale.dtype).eps) & solution.isfinite().all()
     return torch.where(solved, solution, 0.0), solved
 
 
@@ -71,22 +73,26 @@ class GaussNewtonInverse:
     """
 
     elimination: Elimination
-    factor: Float[Tensor, "size size"]
+    factor: BorderedFactor
     scale: Float[Tensor, " size"]
     stiffness: Float[Tensor, ""]
     dead: Bool[Tensor, " size"]
 
     @classmethod
     def of(cls, system: NormalEquations) -> "GaussNewtonInverse":
-        """Factorise undamped. Raises SingularError where the system is singular beyond its null space."""
+        """Factorise undamped. Raises SingularError where the system is singular beyond its null space, or where there
+        are more than MAX_COVARIANCE reduced unknowns, whose dense matrix does not fit."""
+        if system.plan.size > MAX_COVARIANCE:
+            raise SingularError(f"there are {system.plan.size} reduced unknowns, more than {MAX_COVARIANCE}")
         if system.null_space is not None:  # restricted to the unknowns that something depends on
             moving = torch.where(system.dead[:, None], 0.0, system.null_space)
             system = replace(system, null_space=torch.linalg.qr(moving).Q)
         elimination = Elimination(system, 0.0)
         matrix, _ = elimination.reduced()
         scale, stiffness = prepare(matrix, system)
-        factor, info = torch.linalg.cholesky_ex(matrix)
-        if int(info) or _smallest_eigenvalue(factor) < ROUNDING * len(factor) * torch.finfo(factor.dtype).eps:
+        factor = BorderedFactor.of(matrix, system.lone_blocks)
+        rounding = ROUNDING * len(factor) * torch.finfo(scale.dtype).eps
+        if not bool(factor.found) or _smallest_eigenvalue(factor) < rounding:
             raise SingularError("the normal equations are singular")
         return cls(elimination, factor, scale, stiffness, system.dead)
 
@@ -98,10 +104,28 @@ class GaussNewtonInverse:
         places *= (self.elimination.system.eliminated_hessian[DIAGONAL] > NEGLIGIBLE).any(dim=0)
         right = torch.where(self.dead, 0.0, vector[: plan.size])
         right = right - self.elimination.to_reduced(self.elimination.times_inverse(places))
-        reduced = torch.cholesky_solve((right * self.scale)[:, None], self.factor)[:, 0] * self.scale
+        reduced = self.factor.solve((right * self.scale)[:, None])[:, 0] * self.scale
         reduced = torch.where(self.dead, 0.0, reduced)
         places = self.elimination.times_inverse(places - self.elimination.to_eliminated(reduced))
         return torch.cat((reduced, places[:, plan.place_of].T.flatten()))
+
+    def covariance_times(self, directions: Float[Tensor, "size k"]) -> Float[Tensor, "size k"]:
+        """The covariance of the reduced unknowns (see `Covariance`) times columns."""
+        moving, null_space = torch.where(self.dead[:, None], 0.0, directions), self.elimination.system.null_space
+        times = self.factor.solve(moving * self.scale[:, None]) * self.scale[:, None]
+        if null_space is not None:
+            times = times - null_space @ (null_space.T @ moving) / self.stiffness
+        return torch.where(self.dead[:, None], 0.0, times)
+
+    def deviations(self, directions: Float[Tensor, "size k"]) -> Float[Tensor, " k"]:
+        """Standard deviations of combinations of the reduced unknowns, where residuals have variance one."""
+        return (directions * self.covariance_times(directions)).sum(dim=0).clamp(min=0.0).sqrt()
+
+    def deviations_of(self, unknowns: Sequence[int]) -> Float[Tensor, " k"]:
+        """Those of some of the reduced unknowns."""
+        units = self.scale.new_zeros(len(self.scale), len(unknowns))
+        units[list(unknowns), range(len(unknowns))] = 1.0
+        return self.deviations(units)
 
     def propagate(
         self, errors: Float[Tensor, "residuals observations"]
@@ -137,11 +161,11 @@ class GaussNewtonInverse:
         return torch.nn.functional.pad(reduced, (0, len(vector) - len(reduced)))
 
 
-def _smallest_eigenvalue(factor: Float[Tensor, "size size"]) -> float:
+def _smallest_eigenvalue(factor: BorderedFactor) -> float:
     """Of L L^T, by inverse iteration. A small pivot need not betray it."""
-    vector = torch.arange(len(factor), dtype=factor.dtype, device=factor.device).cos()[:, None]
+    vector = torch.arange(len(factor), dtype=factor.head.dtype, device=factor.head.device).cos()[:, None]
     for _ in range(3):
-        vector = torch.cholesky_solve(vector / vector.norm(), factor)
+        vector = factor.solve(vector / vector.norm())
     return 1.0 / float(vector.norm())
 
 
@@ -155,12 +179,9 @@ class Covariance:
 
     @classmethod
     def of(cls, system: NormalEquations) -> "Covariance":
-        """Raises SingularError where something beyond the null space of `system` is not determined, or where there are
-        more than MAX_COVARIANCE reduced unknowns, whose dense inverse does not fit."""
-        if system.plan.size > MAX_COVARIANCE:
-            raise SingularError(f"there are {system.plan.size} reduced unknowns, more than {MAX_COVARIANCE}")
+        """Raises what `GaussNewtonInverse.of` raises."""
         found = GaussNewtonInverse.of(system)
-        inverse = torch.cholesky_inverse(found.factor)
+        inverse = found.factor.inverse()
         inverse.mul_(found.scale[:, None]).mul_(found.scale)
         null_space = found.elimination.system.null_space
         if null_space is not None:

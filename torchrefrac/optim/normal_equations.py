@@ -21,6 +21,8 @@ from torch import Tensor
 from torchrefrac.optim.plan import CACHED, ELIMINATED_SIZE, SchurPlan
 
 NEGLIGIBLE = 1e-18
+MANY_LONE = 100
+"""Blocks of further unknowns, from which on it pays to look whether they are alone."""
 LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
 DIAGONAL = [LOWER.index((i, i)) for i in range(ELIMINATED_SIZE)]
 Rows = Float[Tensor, "residuals row observations"]
@@ -79,6 +81,21 @@ class NormalEquations:
     def dead(self) -> Bool[Tensor, " size"]:
         """Mask of the unknowns that nothing depends on, but for rounding."""
         return self.diagonal <= NEGLIGIBLE
+
+    @cached_property
+    def lone_blocks(self) -> int:
+        """How many blocks of ELIMINATED_SIZE there are at the end of the reduced unknowns, where they are many and no
+        two of them have a term in common; none where a gauge joins all unknowns."""
+        plan = self.plan
+        first, count = plan.size - plan.num_extra, plan.num_extra // ELIMINATED_SIZE
+        if count < MANY_LONE or self.null_space is not None:
+            return 0
+        for columns, _, _ in self.blocks:
+            block, there = (columns - first) // ELIMINATED_SIZE, (columns >= first) & (columns < plan.size)
+            lowest = torch.where(there, block, count).amin(dim=1)
+            if bool((torch.where(there, block, -1) > lowest[:, None]).any()):
+                return 0
+        return count
 
     def apply(self, x: Float[Tensor, " size"]) -> Float[Tensor, " size"]:
         """B x."""

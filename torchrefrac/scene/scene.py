@@ -327,6 +327,16 @@ class Scene:
         """How many accepted observations each view has."""
         return torch.bincount(self.observations.view[self.accepted], minlength=len(self.views))
 
+    def seen_by(self, wanted: Bool[Tensor, " m"]) -> Bool[Tensor, " n"]:
+        """Points that any of the `wanted` views observes, accepted or not."""
+        seen = self.observations.point[wanted[self.observations.view]]
+        return torch.zeros_like(self.placed).index_fill(0, seen, True)
+
+    def supported_by(self, wanted: Bool[Tensor, " m"]) -> Bool[Tensor, " n"]:
+        """Points of which an observation in any of the `wanted` views is accepted."""
+        seen = self.observations
+        return torch.zeros_like(self.placed).index_fill(0, seen.point[self.accepted & wanted[seen.view]], True)
+
     def sightings(self) -> Int[Tensor, " n"]:
         """How many registered views observe each point, accepted or not."""
         seen = self.observations
@@ -359,16 +369,21 @@ class Scene:
             observations=self.observations.detached(),
         )
 
-    def part(self, min_observations: int = 1) -> "Part":
-        """Registered views, the points with so many accepted observations, and these observations."""
+    def part(self, min_observations: int = 1, of: Bool[Tensor, " n"] | None = None) -> "Part":
+        """Registered views, the points with so many accepted observations, and these observations. of: of these points
+        alone, and the views that observe them."""
         rows = self.accepted & self.placed[self.observations.point]
         if min_observations > 1:
             count = torch.bincount(self.observations.point[rows], minlength=len(self.points))
             rows = rows & (count >= min_observations)[self.observations.point]
-        view = self.views.registered.nonzero()[:, 0]
-        seen = self.observations[rows.nonzero()[:, 0]]
+        if of is not None:
+            rows = rows & of[self.observations.point]
+        seen, wanted = self.observations[rows.nonzero()[:, 0]], self.views.registered
+        if of is not None:
+            wanted = torch.zeros_like(wanted).index_fill(0, seen.view, True)
+        view = wanted.nonzero()[:, 0]
         ids, point = torch.unique_consecutive(seen.point, return_inverse=True)
-        slot = self.views.registered.long().cumsum(dim=0) - 1
+        slot = wanted.long().cumsum(dim=0) - 1
         scene = replace(
             self,
             capture=self.capture and self.capture.of_views(view.tolist()),

@@ -6,7 +6,7 @@ from dataclasses import replace
 from itertools import count
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.bundle import (
@@ -41,7 +41,8 @@ OUTLYING = 4.0
 FINEST = 0.02
 """Pixels; no keypoint is known better."""
 ENOUGH = 1e-6
-"""Relative decrease of the cost at which an adjustment ends that others went before."""
+"""Relative decrease of the cost at which an adjustment ends that others went before, or that is of many images: what it
+falls by from there on moves single points that hardly fit, and cameras by hundredths of their standard deviations."""
 
 OnStep = Callable[[int, float, float], None]
 
@@ -101,8 +102,39 @@ def adjust(scene: Scene, rules: Rules, on_step: OnStep | None = None) -> tuple[S
         check=False,
         callback=on_step,
     )
-    kind = Adjustment.CONVERGED if report.status == "converged" else Adjustment.STOPPED
-    return scene.with_part(part, report.scene), Outcome(kind, report=report)
+    return scene.with_part(part, report.scene), _outcome(report)
+
+
+def adjust_locally(
+    scene: Scene, rules: Rules, views: Bool[Tensor, " m"], on_step: OnStep | None = None
+) -> tuple[Scene, Outcome]:
+    """Adjust those registered `views` and the points that they support; other views, cameras and interfaces stay as
+    they are."""
+    part = scene.part(of=scene.supported_by(views))
+    fixed = replace(part.scene, cameras=scene.cameras.exact(), interfaces=replace(scene.interfaces, sigmas={}))
+    report = adjust_bundle(
+        fixed,
+        replace(rules.bundle, refine=()),
+        terms=rules.measurements(part),
+        fixed=~views[part.view, None].expand(-1, 6),
+        check=False,
+        callback=on_step,
+    )
+    changed = replace(report.scene, cameras=scene.cameras, interfaces=scene.interfaces)
+    return scene.with_part(part, changed), _outcome(report)
+
+
+def _outcome(report: BundleReport) -> Outcome:
+    return Outcome(Adjustment.CONVERGED if report.status == "converged" else Adjustment.STOPPED, report=report)
+
+
+def with_neighbours(scene: Scene, views: Bool[Tensor, " m"], least: int) -> Bool[Tensor, " m"]:
+    """Registered `views`, and as many others, or `least`, that support most of the same points."""
+    seen = scene.observations
+    rows = scene.accepted & scene.supported_by(views)[seen.point]
+    shared = torch.bincount(seen.view[rows], minlength=len(views)).masked_fill(views, 0)
+    best = shared.topk(min(max(int(views.sum()), least), len(views)))
+    return views.index_fill(0, best.indices[best.values > 0], True)
 
 
 def with_height(bundle: BundleOptions) -> BundleOptions:
@@ -128,13 +160,17 @@ def with_noise_found(bundle: BundleOptions, report: BundleReport) -> BundleOptio
         return bundle
     typical = typical_deviation(square.sqrt())
     sigma = estimate_pixel_sigma(report.problem, report.scene)
-    solver = bundle.solver
     return replace(
-        bundle,
+        ending_early(bundle),
         loss_scale=min(bundle.loss_scale, max(EFFICIENT * typical, FINEST)),
         pixel_sigma=min(bundle.pixel_sigma, max(CAREFUL * sigma, FINEST)),
-        solver=replace(solver, function_tolerance=max(solver.function_tolerance, ENOUGH)),
     )
+
+
+def ending_early(bundle: BundleOptions) -> BundleOptions:
+    """Options for an adjustment that ends when the cost falls by ENOUGH of it at most."""
+    solver = bundle.solver
+    return replace(bundle, solver=replace(solver, function_tolerance=max(solver.function_tolerance, ENOUGH)))
 
 
 def with_errors_found(rules: Rules, report: BundleReport, least: float | None) -> Rules:

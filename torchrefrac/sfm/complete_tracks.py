@@ -11,14 +11,15 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchrefrac.features import Features
-from torchrefrac.numerics import components, first_equal, first_of_each, segment_sum, typical_deviation
+from torchrefrac.numerics import components, first_equal, first_of_each, typical_deviation
 from torchrefrac.scene import Observations, Scene
 from torchrefrac.sfm.adjust import OUTLYING
+from torchrefrac.sfm.in_sight import Patches
 
 CANDIDATES = 6
 """Keypoints about a place, of which several may lie in one (of different orientations)."""
@@ -66,12 +67,13 @@ def complete_tracks(scene: Scene, features: Sequence[Features], max_error: float
     limit = OUTLYING * typical_deviation(error)
     keypoints = [_Keypoints(of_view) for of_view in features]
     keypoint = _keypoints_of(seen, keypoints)
-    descriptor = _mean_descriptors(scene, features, keypoint)
+    descriptor, patches = _mean_descriptors(scene, features, keypoint), Patches.of(scene)
     extra: list[Observations] = []
     joined: list[Int[Tensor, "2 _"]] = []
     for view in scene.views.registered.nonzero()[:, 0].tolist():
         own = (seen.view == view).nonzero()[:, 0]
-        found = _look(scene, view, seen.point[own], keypoints[view], descriptor, (limit, max_error))
+        wanted = patches.before(view).index_fill(0, seen.point[own], False)
+        found = _look(scene, view, wanted, keypoints[view], descriptor, (limit, max_error))
         if not len(found.point):
             continue
         owner = torch.full((len(features[view]),), -1, dtype=torch.long)
@@ -87,16 +89,13 @@ def complete_tracks(scene: Scene, features: Sequence[Features], max_error: float
 def _look(
     scene: Scene,
     view: int,
-    there: Int[Tensor, " o"],
+    wanted: Bool[Tensor, " n"],
     keypoints: _Keypoints,
     descriptor: Float[Tensor, "n 128"],
     limits: tuple[float, float],
 ) -> _Found:
-    """What a view shows of the points that it is not known to see: not those that are `there`. limits: of errors over
-    noise, and in pixels."""
+    """What a view shows of the points `wanted`. limits: of errors over noise, and in pixels."""
     none, features = torch.zeros(0, dtype=torch.long), keypoints.features
-    wanted = scene.placed.clone()
-    wanted[there] = False
     point = wanted.nonzero()[:, 0]
     if not len(point) or not len(features):
         return _Found(none, none, torch.zeros(0))
@@ -143,7 +142,7 @@ def _mean_descriptors(
     total = torch.zeros(len(scene.points), features[0].descriptors.shape[1])
     for view, of_view in enumerate(features):
         rows = (scene.accepted & (seen.view == view)).nonzero()[:, 0]
-        total += segment_sum(of_view.unit(keypoint[rows]), seen.point[rows], len(total))
+        total.index_add_(0, seen.point[rows], of_view.unit(keypoint[rows]))
     return torch.nn.functional.normalize(total, dim=-1)
 
 

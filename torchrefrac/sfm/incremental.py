@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from torchrefrac.bundle import GravityPrior, HeightPrior, Term
@@ -17,10 +17,13 @@ from torchrefrac.sfm.adjust import (
     Journal,
     Steps,
     adjust,
+    adjust_locally,
     assess_scene,
     common_tilt,
+    ending_early,
     with_errors_found,
     with_height,
+    with_neighbours,
     with_noise_found,
     with_slope,
 )
@@ -42,6 +45,11 @@ from torchrefrac.sfm.verification import VerifiedPair
 
 MOST_SHOWN = 10_000  # points of a cloud that is still growing
 GROWING = LevenbergMarquardtOptions(max_iterations=10, function_tolerance=1e-4)
+NEARLY = 0.75
+"""Times the points that the best view sees, with which others are registered in one round with it."""
+EVERYTHING, FEWEST = 4, 6
+"""Of the adjustments of many images that grow, every so many are of everything, the others of the views that joined
+and of their neighbours, so many at least."""
 
 
 class NoInitialPairError(TorchrefracError, RuntimeError):
@@ -121,7 +129,7 @@ class _Growth:
         self.failures: dict[str, str] = {}
         self.fixed: dict[str, str] = {}
         self.stopped_after: int | None = None
-        self._refused: dict[int, int] = {}  # views that could not be registered, and the points they saw then
+        self._refused = torch.full((len(capture),), -1)  # points that views saw when they could not be registered
         self.journal = Journal(recorder)
 
     @property
@@ -155,42 +163,60 @@ class _Growth:
         )
 
     def register_all(self, scene: Scene) -> Iterator[Scene]:
-        """Yields the scene after every view that could be registered."""
-        adjusted_at = scene.views.num_registered
-        while (view := self._next_view(scene)) is not None:
-            scene, outcome = register(scene, view, self.rules)
-            seen, name = int(outcome.numbers["seen"]), scene.views.names[view]
-            if not outcome.done:
-                self._refused[view] = seen
-                self.failures[name] = str(outcome)
-                self.recorder.detail(f"{name} is not registered: {outcome}")
+        """Yields the scene for every view that could be registered, after the round in which it was."""
+        adjusted_at, rounds = scene.views.num_registered, 0
+        joined = torch.zeros_like(scene.views.registered)
+        while len(views := self._next_views(scene)):
+            before = scene.views.registered
+            for view in views.tolist():
+                scene = self._register(scene, view)
+            new = scene.views.registered & ~before
+            if not bool(new.any()):
                 continue
-            self.failures.pop(name, None)
-            registered, agreeing = scene.views.num_registered, outcome.numbers["agreeing"]
-            self.recorder.scalar("registration/inliers", agreeing, registered)
-            self.recorder.scalar("registration/inlier_ratio", agreeing / seen, registered)
-            scene, _ = triangulate(scene, self.rules)
+            scene, _ = triangulate(scene, self.rules, scene.seen_by(new) & ~scene.placed)
+            joined, registered = joined | new, scene.views.num_registered
             if registered >= adjusted_at * self.options.global_growth:
-                scene = self.adjust(scene)
-                adjusted_at = scene.views.num_registered
-            self.recorder.scalar("registration/images", scene.views.num_registered, scene.views.num_registered)
-            self.recorder.scalar("registration/points", int(scene.placed.sum()), scene.views.num_registered)
-            yield scene
+                rounds = rounds + 1 if registered >= self.options.many_images else 0
+                scene = self.adjust(scene, joined if rounds % EVERYTHING else None)
+                adjusted_at, joined = scene.views.num_registered, torch.zeros_like(joined)
+            self.recorder.scalar("registration/images", scene.views.num_registered, registered)
+            self.recorder.scalar("registration/points", int(scene.placed.sum()), registered)
+            yield from [scene] * int(new.sum())
 
-    def _next_view(self, scene: Scene) -> int | None:
-        """The view that sees most points, of those that see more than when they were refused."""
+    def _next_views(self, scene: Scene) -> Int[Tensor, " k"]:
+        """Those that see most points, of the views that see more than when they were refused: nearly as many as the
+        first of them, and no more than call for an adjustment together."""
         seen = visible_points(scene)
-        seen[scene.views.registered] = -1
-        for view, at in self._refused.items():
-            if seen[view] <= at:
-                seen[view] = -1
-        best = int(seen.argmax())
-        return best if int(seen[best]) >= 0 else None
+        left = ~scene.views.registered & (seen > self._refused)
+        order = torch.where(left, seen, -1).argsort(descending=True, stable=True)
+        most = max(int((self.options.global_growth - 1.0) * scene.views.num_registered), 1)
+        several = left & (seen >= NEARLY * seen[order[0]])
+        return order[: min(most, int(several.sum()))]
 
-    def adjust(self, scene: Scene) -> Scene:
-        """Adjust, drop what no longer fits, and take in what now does."""
+    def _register(self, scene: Scene, view: int) -> Scene:
+        """With one more view, or as it was where that has no pose."""
+        scene, outcome = register(scene, view, self.rules)
+        seen, name = int(outcome.numbers["seen"]), scene.views.names[view]
+        if not outcome.done:
+            self._refused[view] = seen
+            self.failures[name] = str(outcome)
+            self.recorder.detail(f"{name} is not registered: {outcome}")
+            return scene
+        self.failures.pop(name, None)
+        registered, agreeing = scene.views.num_registered, outcome.numbers["agreeing"]
+        self.recorder.scalar("registration/inliers", agreeing, registered)
+        self.recorder.scalar("registration/inlier_ratio", agreeing / seen, registered)
+        return scene
+
+    def adjust(self, scene: Scene, joined: Bool[Tensor, " m"] | None = None) -> Scene:
+        """Adjust, drop what no longer fits, and take in what now does. joined: views that are adjusted with their
+        neighbours, the others staying as they are; by default everything is."""
         growing = replace(self.rules, bundle=replace(self.rules.bundle, solver=GROWING))
-        scene, outcome = adjust(scene, growing, self.journal.step)
+        if joined is None:
+            scene, outcome = adjust(scene, growing, self.journal.step)
+        else:
+            some = with_neighbours(scene, joined & scene.views.registered, FEWEST)
+            scene, outcome = adjust_locally(scene, growing, some, self.journal.step)
         self._record(scene, outcome)
         return triangulate(self._filter(scene, self.rules), self.rules)[0]
 
@@ -198,6 +224,8 @@ class _Growth:
         """Adjust to convergence, with only the points that enough views see; and again without the gravity of views
         that the others contradict, for as long as there are such; without any if most are contradicted."""
         scene = self._complete(scene)
+        if scene.views.num_registered >= self.options.many_images:
+            self.rules = replace(self.rules, bundle=ending_early(self.rules.bundle))
         length = affordable_length(scene, self.rules, self.options.min_track_length)
         rules = replace(self.rules, min_track_length=length)
         scene = self._converged(scene, rules)
@@ -332,10 +360,10 @@ class _Growth:
         return scene
 
     def _record(self, scene: Scene, outcome: Outcome) -> None:
-        """What an adjustment of everything has led to."""
+        """What an adjustment has led to."""
         if outcome.report is not None:
             self.fixed, self.stopped_after = outcome.report.fixed, outcome.report.stopped_after
-            self.recorder.detail(f"adjusted {scene.views.num_registered} images: {outcome.report.summary()}")
+            self.recorder.detail(f"adjusted {len(outcome.report.scene.views)} images: {outcome.report.summary()}")
         self.show(scene, MOST_SHOWN)
 
     def show(self, scene: Scene, most: int | None = None) -> None:

@@ -2,7 +2,8 @@
 
 The score test (see `bundle.score`), of all views at once: every view gets a surface of its own, and one Gauss-Newton
 step from the minimum with one surface says by how much each would stand higher. Index ratio and focal length vary too,
-because they move the levels of views at different heights.
+because they move the levels of views at different heights. Of many views those that are one after the other, as they
+were taken, have one surface together.
 """
 
 from collections.abc import Mapping
@@ -15,7 +16,7 @@ from torch import Tensor
 from torchrefrac.bundle import BundleProblem, adjust
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.score import Given, columns_of
-from torchrefrac.optim import Covariance, SingularError
+from torchrefrac.optim import GaussNewtonInverse, SingularError
 from torchrefrac.scene import Assessment, Part, Scene
 from torchrefrac.sfm.rules import Rules
 
@@ -24,6 +25,8 @@ APART = 4.0
 """Difference of two levels, in root mean squares of what the views of each scatter about it."""
 SURE = 5.0
 """The same in its own standard deviations, which errors of the model make look too small."""
+MOST_SURFACES = 100
+"""Beyond which each costs more than it tells: the work grows as their square."""
 NOTABLE = 0.01
 """The same in mean heights of the cameras."""
 
@@ -35,7 +38,8 @@ def with_levels(assessment: Assessment, scene: Scene, rules: Rules, fixed: Mappi
     m, sigma = len(part.view), assessment.pixel_sigma
     if m < FEWEST_VIEWS or sigma is None or len(scene.interfaces) > 1 or not scene.interfaces.stand_in_world:
         return assessment
-    each = with_surfaces(part.scene, torch.arange(m))
+    surface = torch.arange(m) * min(m, MOST_SURFACES) // m
+    each = with_surfaces(part.scene, surface)
     of_all = {"plane_tilt", *fixed}
     refined = (name for name in rules.bundle.refine if name not in of_all)
     layout = Layout.create(each, tuple(dict.fromkeys((*refined, "plane_height", "index_ratio", "focal"))))
@@ -48,18 +52,23 @@ def with_levels(assessment: Assessment, scene: Scene, rules: Rules, fixed: Mappi
         difference = higher[others].mean() - higher[~others].mean()
         if not _are_apart(higher, others, difference, part.scene.views.center[:, 2].mean()):
             return assessment
-        covariance = (assessment.growth * sigma) ** 2 * Covariance.of(linearized.system).reduced
+        inverse = GaussNewtonInverse.of(linearized.system)
     except SingularError:
         return assessment
-    contrast = torch.where(others, 1.0 / others.sum(), -1.0 / (~others).sum()).to(step)
-    deviation = (contrast @ covariance[columns][:, columns] @ contrast).clamp(min=0.0).sqrt()
+    contrast = torch.zeros_like(step)
+    contrast[columns] = torch.where(others, 1.0 / others.sum(), -1.0 / (~others).sum()).to(step)
+    sigma = assessment.growth * sigma
+    deviation = sigma * inverse.deviations(contrast[:, None])[0]
     if bool(difference.abs() <= SURE * deviation):
         return assessment
     given: tuple[Given, ...] = ("index_ratio", "focal")
     columns_by_name = (columns_of(each, layout, name) for name in given)
     asked = {key: column for of in columns_by_name for key, column in of.items() if key in assessment.wished}
-    variance = covariance.diagonal().clamp(min=0.0)
-    wished = {name: (float(step[column]), float(variance[column].sqrt())) for name, column in asked.items()}
+    sigmas = sigma * inverse.deviations_of(list(asked.values()))
+    wished = {
+        name: (float(step[column]), float(own)) for (name, column), own in zip(asked.items(), sigmas, strict=True)
+    }
+    others = others[surface]
     difference = _adjusted_difference(part, others, rules)
     levels = torch.zeros(len(scene.views), dtype=step.dtype).index_put((part.view[others],), difference)
     return replace(assessment, levels=levels, wished=wished)

@@ -24,6 +24,7 @@ SFM_RANGES = {
     **dict.fromkeys(("max_error", "least_error", "rough_error"), MAX_ERROR),
     "min_track_length": Range(at_least=2, at_most=1_000_000),
     "global_growth": Range(at_least=1.0, at_most=1e6),
+    "many_images": Range(at_least=1, at_most=1_000_000),
     "final_rounds": Range(at_least=0, at_most=1000),
 }
 
@@ -73,6 +74,8 @@ class SfmOptions:
     max_error: of an accepted observation. least_error: what that may come down to once an adjustment shows how large
     errors are; None: it stays. rough_error: see `rough`. min_track_length: images that must see a final point (2 where
     only 2 are registered). global_growth: adjust everything whenever the number of images has grown by this factor.
+    many_images: from so many on these are mostly adjustments of the views that have joined and of their neighbours, and
+    the last ones end when the cost hardly falls any more.
     """
 
     ransac: RansacOptions = field(default_factory=lambda: RansacOptions(max_samples=8192))
@@ -86,6 +89,7 @@ class SfmOptions:
     rough_error: float = 16.0
     min_track_length: int = 3
     global_growth: float = 1.1
+    many_images: int = 40
     final_rounds: int = 3
 
     def __post_init__(self) -> None:
