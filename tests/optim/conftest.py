@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.optim.linear_problems import Linear, Term
-from torchrefrac.optim import Family, dense, elimination, normal_equations, plan
+from torchrefrac.optim import Family, covariance, elimination, normal_equations, plan
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def cut(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """`cut(tile, elements, gram, cached)`: smaller portions of work from now on."""
 
     def portions(tile: int = 64, elements: int = 1 << 19, gram: int = 64, cached: int = 16384) -> None:
-        for module in (plan, elimination, dense):
+        for module in (plan, elimination, covariance):
             monkeypatch.setattr(module, "TILE", tile)
         monkeypatch.setattr(plan, "CHUNK_ELEMENTS", elements)
         monkeypatch.setattr(plan, "GRAM_ROWS", gram)

@@ -12,7 +12,7 @@ from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.bundle.rows import INTRINSICS, OF_LAYERS, water_unknowns
 from torchrefrac.bundle.terms import GlobalPrior, HeightPrior, prior_sigmas
-from torchrefrac.optim import Covariance, SingularError
+from torchrefrac.optim import GaussNewtonInverse, SingularError
 from torchrefrac.scene import Cameras, Scene
 
 UNNOTICED = 1e-6
@@ -97,7 +97,7 @@ def determinations(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> 
     options = replace(problem.options, loss="squared", pixel_sigma=pixel_sigma)
     asked = problem.with_layout(scene, layout, options, [*problem.terms, *vague, *known])
     system = asked.linearize(scene).system
-    found = Covariance.of(system)
+    found = GaussNewtonInverse.of(system)
     dead = torch.nn.functional.pad(system.dead, (0, 1), value=True)
     gauge = system.null_space
     motions, fixed = similarity_motions(scene, layout)
@@ -110,7 +110,7 @@ def determinations(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> 
         if functional is None:
             functional = motions.new_zeros(layout.size)
             functional[column] = 1.0
-        return pixel_sigma * _deviation(found.reduced, _against_cameras(functional, motions, fixed, weights))
+        return pixel_sigma * _deviation(found, _against_cameras(functional, motions, fixed, weights))
 
     result = []
     for name in layout.intrinsics:
@@ -131,7 +131,7 @@ def determinations(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> 
     result.append(_judged("plane_tilt", tilt, 180.0 / math.pi, expected.sigma_of("plane_tilt")))
     above = max(deviation(plane[2], by) for plane, by in zip(planes, _by_heights(scene, layout), strict=True))
     result.append(_judged("plane_height", above, 1.0 / height, expected.plane_height))
-    result.append(Determination("scale", _scale_deviation(found.reduced, motions, fixed, weights, gauge) * pixel_sigma))
+    result.append(Determination("scale", _scale_deviation(found, motions, fixed, weights, gauge) * pixel_sigma))
     return result
 
 
@@ -187,7 +187,7 @@ def _against_cameras(
 
 
 def _scale_deviation(
-    covariance: Float[Tensor, "size size"],
+    inverse: GaussNewtonInverse,
     motions: Float[Tensor, "size 7"],
     fixed: Float[Tensor, "k 7"],
     weights: Float[Tensor, "every 1"],
@@ -199,11 +199,11 @@ def _scale_deviation(
     functional = (weights[:, 0] * shape)[: len(motions)]
     if gauge is not None and float((functional @ gauge).norm()) > UNNOTICED * float(functional.norm()):
         return math.inf
-    return _deviation(covariance, functional) / abs(float(shape @ cameras[:, SCALE]))
+    return _deviation(inverse, functional) / abs(float(shape @ cameras[:, SCALE]))
 
 
-def _deviation(covariance: Float[Tensor, "size size"], functional: Float[Tensor, " size"]) -> float:
-    return math.sqrt(max(float(functional @ covariance @ functional), 0.0))
+def _deviation(inverse: GaussNewtonInverse, functional: Float[Tensor, " size"]) -> float:
+    return math.sqrt(max(float(inverse.variance(functional)), 0.0))
 
 
 def _mean_height(problem: BundleProblem, scene: Scene) -> float:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Literal
 
+import torch
 from jaxtyping import Bool
 from torch import Tensor
 
@@ -41,7 +42,8 @@ def wished_changes(
         covariance = Covariance.of(linearized.system)
     except SingularError:
         return {}
-    step, variance = linearized.solve(0.0).reduced, covariance.reduced.diagonal().clamp(min=0.0)
+    step, every = linearized.solve(0.0).reduced, torch.arange(layout.size, device=layout.camera.device)
+    variance = covariance.among[every, every].clamp(min=0.0)
     columns = columns_of(scene, layout, name, problem.layout.fixed_intrinsics.get(name))
     return {key: (float(step[column]), pixel_sigma * float(variance[column].sqrt())) for key, column in columns.items()}
 

@@ -79,6 +79,14 @@ class GramRows(NamedTuple):
     ends: list[int]
 
 
+class Pairs(NamedTuple):
+    """Pairs of reduced blocks that tiles meet: `row * (blocks + 1) + column`, ascending, where the number of blocks
+    itself stands for what tiles are filled up with; and which of them those of each tile are, chunk by chunk."""
+
+    code: Int[Tensor, " pairs"]
+    slots: tuple[Int[Tensor, "tiles width width"], ...]
+
+
 @dataclass(frozen=True)
 class SchurPlan:
     """The structure of the normal equations; everything in `order`, an arrangement of the observations given.
@@ -154,6 +162,13 @@ class SchurPlan:
     def size(self) -> int:
         """How many reduced unknowns there are."""
         return REDUCED_SIZE * self.num_reduced + self.num_shared + self.num_extra
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """Which reduced blocks meet in a tile."""
+        codes = [chunk.reduced[:, :, None] * (self.num_reduced + 1) + chunk.reduced[:, None] for chunk in self.chunks]
+        every = torch.unique(torch.cat([self.order[:0], *(torch.unique(code) for code in codes)]))
+        return Pairs(every, tuple(torch.searchsorted(every, code) for code in codes))
 
     @cached_property
     def gram_rows(self) -> GramRows:

@@ -48,17 +48,18 @@ def with_levels(assessment: Assessment, scene: Scene, rules: Rules, fixed: Mappi
         difference = higher[others].mean() - higher[~others].mean()
         if not _are_apart(higher, others, difference, part.scene.views.center[:, 2].mean()):
             return assessment
-        covariance = (assessment.growth * sigma) ** 2 * Covariance.of(linearized.system).reduced
+        covariance = Covariance.of(linearized.system).among.times((assessment.growth * sigma) ** 2)
     except SingularError:
         return assessment
     contrast = torch.where(others, 1.0 / others.sum(), -1.0 / (~others).sum()).to(step)
-    deviation = (contrast @ covariance[columns][:, columns] @ contrast).clamp(min=0.0).sqrt()
+    deviation = (contrast @ covariance[columns[:, None], columns] @ contrast).clamp(min=0.0).sqrt()
     if bool(difference.abs() <= SURE * deviation):
         return assessment
     given: tuple[Given, ...] = ("index_ratio", "focal")
     columns_by_name = (columns_of(each, layout, name) for name in given)
     asked = {key: column for of in columns_by_name for key, column in of.items() if key in assessment.wished}
-    variance = covariance.diagonal().clamp(min=0.0)
+    every = torch.arange(layout.size)
+    variance = covariance[every, every].clamp(min=0.0)
     wished = {name: (float(step[column]), float(variance[column].sqrt())) for name, column in asked.items()}
     difference = _adjusted_difference(part, others, rules)
     levels = torch.zeros(len(scene.views), dtype=step.dtype).index_put((part.view[others],), difference)
