@@ -16,7 +16,7 @@ SHAPES = [
     {"cameras": 9, "points": 150, "pairs": 500, "families": [(2, 3)]},
 ]
 shapes = pytest.mark.parametrize("shape", SHAPES, ids=str)
-TIGHT = IterativeOptions(tolerance=1e-11)
+TIGHT = IterativeOptions(tolerance=1e-11, forcing=0.0, cluster=1)
 
 
 @shapes
@@ -65,7 +65,7 @@ def test_a_looser_tolerance_leaves_a_greater_residual(make_linear):
 
     residuals = []
     for tolerance in (1e-1, 1e-4, 1e-8):
-        solution, _ = solve_iteratively(elimination, None, IterativeOptions(tolerance))
+        solution, _ = solve_iteratively(elimination, None, IterativeOptions(tolerance, forcing=0.0, cluster=1))
         residuals.append(float((system @ solution - right).norm() / right.norm()))
 
     assert residuals == sorted(residuals, reverse=True)
@@ -77,7 +77,7 @@ def test_a_search_that_is_cut_short_has_a_step_that_goes_down(make_linear):
     linear = make_linear(cameras=9, points=150, pairs=500, families=[(2, 3)])
     jacobian, residual = linear.rows()
 
-    step = Linearized(linear.system(), "iterative", IterativeOptions(1e-12, max_iterations=3)).solve(1e-4)
+    step = Linearized(linear.system(), "iterative", IterativeOptions(1e-12, max_iterations=3, cluster=1)).solve(1e-4)
 
     assert step.solved
     after = residual + jacobian[:, :-1] @ flat(step)
@@ -92,7 +92,7 @@ def test_units_of_the_unknowns_do_not_matter_to_a_search_that_is_cut_short(make_
     units, coarse = torch.cat((unit[:6].repeat(5), unit[6:9])), draw.normal(33, 2)
 
     one, other = (
-        solve_iteratively(Elimination(problem.system(), 1e-4), by, IterativeOptions(0.0, iterations))[0]
+        solve_iteratively(Elimination(problem.system(), 1e-4), by, IterativeOptions(0.0, iterations, 0.0, 1))[0]
         for problem, by in ((linear, coarse), (linear.in_units(unit), coarse / units[:, None]))
     )
 
@@ -111,7 +111,7 @@ def test_coarse_directions_in_which_the_cost_is_nearly_flat_are_taken_at_once(ma
     exact, _ = solve_dense(elimination)
 
     def error(coarse):
-        solution, _ = solve_iteratively(elimination, coarse, IterativeOptions(1e-14, max_iterations=25))
+        solution, _ = solve_iteratively(elimination, coarse, IterativeOptions(1e-14, 25, 0.0, 1))
         return float((solution - exact).norm() / exact.norm())
 
     assert error(weak) < 1e-3 * error(None)
@@ -144,7 +144,7 @@ def test_a_system_with_a_direction_of_negative_curvature_has_a_step_that_still_g
 
     decreases = []
     for iterations in (1, 3, 200):
-        x, solved = solve_iteratively(elimination, None, IterativeOptions(1e-12, iterations))
+        x, solved = solve_iteratively(elimination, None, IterativeOptions(1e-12, iterations, 0.0, 1))
         assert solved
         decreases.append(float(-(gradient @ x) - 0.5 * (x @ (matrix + bend) @ x)))
 

@@ -1,5 +1,5 @@
-"""The reduced system as a block tridiagonal matrix with a border, for reduced blocks that meet few others each: as exact
-as the dense one, at a cost that grows with their number as such.
+"""The reduced system as a block tridiagonal matrix with a border, for reduced blocks that meet few others each: as
+exact as the dense one, at a cost that grows with their number as such.
 
 Section by section the matrix is factorised: L L^T is the diagonal block of a panel, what is below it follows by
 substitution, and its square is taken from the next section and from the corner. Only the panels are ever there, about
@@ -22,11 +22,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchrefrac.optim.assembly import assemble
 from torchrefrac.optim.elimination import Elimination
 from torchrefrac.optim.factor import SingularError, step_of, stiffness_of
 from torchrefrac.optim.normal_equations import NormalEquations
 from torchrefrac.optim.ordering import BandedOrder
-from torchrefrac.optim.plan import REDUCED_SIZE
 
 
 def solve_banded(elimination: Elimination) -> tuple[Float[Tensor, " size"], Bool[Tensor, ""]]:
@@ -50,7 +50,7 @@ class BandedFactor:
     def of(cls, elimination: Elimination, order: BandedOrder) -> "BandedFactor":
         """In that order of the unknowns."""
         system, position = elimination.system, order.position
-        numbers, gradient = _matrix(elimination, order)
+        numbers, gradient = assemble(elimination, order)
         on_diagonal = order.address(position, position)
         damped = numbers[on_diagonal] + elimination.damping * system.diagonal
         diagonal = torch.where(system.dead, 1.0, damped)
@@ -68,7 +68,7 @@ class BandedFactor:
         return cls(order, numbers, root, stiffness, gradient, definite, pivot)
 
     def solve(self, right: Float[Tensor, "size k"]) -> Float[Tensor, "size k"]:
-        order, found = self.order, []
+        order = self.order
         vectors = right.new_zeros(len(right) + order.multipliers, right.shape[1])
         vectors[order.position] = right
         panels = list(order.panels(self.numbers))
@@ -137,39 +137,10 @@ class BandedCovariance:
         vectors[order.position] = draws.T
         weighed = vectors * (1.0 / len(draws) if weight is None else weight)
         for section, panel in order.panels(numbers):
-            own = vectors[section.own]
-            panel += torch.cat((weighed[section.own], order.below(section, weighed))) @ own.T
+            rows = torch.cat((weighed[section.own], order.below(section, weighed)))
+            panel.addmm_(rows, vectors[section.own].T)
         order.corner(numbers).addmm_(weighed[order.inner :], vectors[order.inner :].T)
         return replace(self, numbers=numbers)
-
-
-def _matrix(elimination: Elimination, order: BandedOrder) -> tuple[Float[Tensor, " elements"], Float[Tensor, " size"]]:
-    """The numbers of the reduced matrix, undamped in the reduced unknowns, and the gradient."""
-    system, plan = elimination.system, elimination.system.plan
-    m, first = plan.num_reduced, REDUCED_SIZE * plan.num_reduced
-    products = elimination.products(len(plan.pairs.code), plan.pairs.slots)
-    numbers, fixed = products.by_pair.new_zeros(order.elements), -1
-    position = torch.nn.functional.pad(order.position, (0, 1), value=fixed)
-
-    def add(
-        one: Int[Tensor, "*#k"], other: Int[Tensor, "*#k"], values: Float[Tensor, "*k"], kept: Bool[Tensor, "*#k"]
-    ) -> None:
-        at = torch.where(kept, order.address(one, other), 0)
-        numbers.index_add_(0, at.flatten(), torch.where(kept, values, 0.0).flatten())
-
-    for columns, hessian, _ in system.blocks:
-        one, other = position[columns][:, :, None], position[columns][:, None]
-        add(one, other, hessian, (one >= other) & (other > fixed))
-    row, column = torch.div(plan.pairs.code, m + 1, rounding_mode="floor"), plan.pairs.code % (m + 1)
-    below = (row >= column) & (row < m)
-    row, column = row[below, None, None], column[below, None, None]
-    of_block = position[:first].view(m, REDUCED_SIZE)
-    one, other = of_block[row[:, 0, 0]][:, :, None], of_block[column[:, 0, 0]][:, None]
-    add(one, other, -products.by_pair[below].unflatten(1, (REDUCED_SIZE, -1)), (one >= other) | (row > column))
-    shared, own = position[first : first + plan.num_shared], position[:first]
-    add(shared, own[:, None], -products.mixed, torch.ones_like(products.mixed, dtype=torch.bool))
-    add(shared[:, None], shared, -products.shared, shared[:, None] >= shared)
-    return numbers, products.gradient
 
 
 def _factorise(order: BandedOrder, numbers: Float[Tensor, " elements"]) -> Bool[Tensor, ""]:

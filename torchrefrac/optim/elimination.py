@@ -5,7 +5,7 @@ With X_i V_i X_i^T = I for every (damped) eliminated block and Z = X E^T, the re
     (B - Z^T Z) dc = -gc + Z^T X gp,        dp = -X^T (X gp + Z dc).
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -83,26 +83,25 @@ class Elimination:
     def reduced(self) -> tuple[Float[Tensor, "size size"], Float[Tensor, " size"]]:
         """The reduced system, undamped in the reduced unknowns: the lower triangle of its matrix, and -rhs."""
         plan, m, g = self.system.plan, self.system.plan.num_reduced, self.system.plan.num_shared
-        slots = (chunk.reduced[:, :, None] * (m + 1) + chunk.reduced[:, None] for chunk in plan.chunks)
-        by_pair, across, shared, _ = products = self.products((m + 1) * (m + 1), slots)
+        by_pair, across, shared, gradient = self.products((m + 1) * (m + 1), plan.codes)
         matrix = self.system.dense()
         first, end = REDUCED_SIZE * m, REDUCED_SIZE * m + g
         square = matrix[:first, :first].view(m, REDUCED_SIZE, m, REDUCED_SIZE)
         square -= by_pair.view(m + 1, m + 1, REDUCED_SIZE, REDUCED_SIZE)[:m, :m].transpose(1, 2)
         matrix[first:end, :first] -= across.T
         matrix[first:end, first:end] -= shared
-        return matrix, products.gradient
+        return matrix, gradient
 
-    def products(self, pairs: int, slots: Iterable[Int[Tensor, "tiles width width"]]) -> "Products":
+    def products(self, pairs: int, slots: Callable[[Chunk], Int[Tensor, "tiles width width"]]) -> "Products":
         """Z^T Z, chunk by chunk. slots: which of so many pairs those of the blocks of each tile are."""
         m, g = self.system.plan.num_reduced, self.system.plan.num_shared
         by_pair = self.factor.new_zeros(pairs, BLOCK)
         mixed = self.factor.new_zeros(m + 1, REDUCED_SIZE * (g + 1))
         shared = self.factor.new_zeros(g + 1, g + 1)
-        for (chunk, z, z_shared), slot in zip(self.tiles(), slots, strict=True):
+        for chunk, z, z_shared in self.tiles():
             whitened = self.whitened[:, chunk.tiles.start * TILE : chunk.tiles.stop * TILE].T.reshape(len(z), -1, 1)
             rest = torch.cat((z_shared, whitened), dim=-1)
-            _add_products(by_pair, z, slot)
+            _add_products(by_pair, z, slots(chunk))
             across = (z.mT @ rest).reshape(-1, mixed.shape[1])
             mixed.index_add_(0, chunk.reduced.flatten(), across)
             flat = rest.flatten(0, 1)

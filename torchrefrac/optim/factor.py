@@ -35,8 +35,8 @@ class ReducedCovariance(Protocol):
 
 
 class Factor(Protocol):
-    """The damped reduced matrix, factorised. Unknowns that nothing depends on have a row of their own; directions of the
-    null space are made as stiff, `stiffness`, as the unknowns are that they move.
+    """The damped reduced matrix, factorised. Unknowns that nothing depends on have a row of their own; directions of
+    the null space are made as stiff, `stiffness`, as the unknowns are that they move.
 
     gradient: of the reduced system. root: square roots of the diagonal. definite: whether the matrix has a factor;
     pivot: the least that appeared on the way, of a matrix with a unit diagonal.

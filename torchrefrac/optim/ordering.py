@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -25,6 +25,44 @@ SMALLEST_SECTION = 96
 CROWDED = (8.0, 4.0, 2.0)
 SWEEPS = 3
 Ids = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Clusters:
+    """A block diagonal matrix of the reduced blocks: of as many neighbours each, but for the last, which is filled up.
+
+    position: of every reduced unknown, -1 where it is of no block; width: unknowns of each of `count` clusters, one
+    after the other.
+    """
+
+    position: Int[Tensor, " size"]
+    width: int
+    count: int
+
+    @classmethod
+    def of(cls, system: NormalEquations, blocks: int) -> "Clusters":
+        """Of so many blocks each."""
+        m, size, device = system.plan.num_reduced, system.plan.size, system.rows.device
+        together = min(blocks, max(m, 1))
+        order = np.concatenate(_levels(_neighbours(system), np.zeros(0, dtype=np.int64), m)) if blocks > 1 else range(m)
+        position = np.full(size, -1)
+        position[: REDUCED_SIZE * m].reshape(m, REDUCED_SIZE)[order] = np.arange(REDUCED_SIZE * m).reshape(
+            m, REDUCED_SIZE
+        )
+        return cls(torch.from_numpy(position).to(device), REDUCED_SIZE * together, -(-m // together))
+
+    @property
+    def elements(self) -> int:
+        """How many numbers the matrix has."""
+        return self.count * self.width**2
+
+    def address(self, one: Int[Tensor, "*#k"], other: Int[Tensor, "*#k"]) -> Int[Tensor, "*k"]:
+        """Of elements below the diagonal."""
+        return torch.maximum(one, other) * self.width + torch.minimum(one, other) % self.width
+
+    def has(self, one: Int[Tensor, "*#k"], other: Int[Tensor, "*#k"]) -> Bool[Tensor, "*k"]:
+        """Those of one cluster."""
+        return torch.div(one, self.width, rounding_mode="floor") == torch.div(other, self.width, rounding_mode="floor")
 
 
 class Section(NamedTuple):
@@ -121,6 +159,10 @@ class BandedOrder:
         row = torch.where(row >= self.inner, row - self.inner + after, row - start)
         return first + row * size + column - start
 
+    def has(self, one: Int[Tensor, "*#k"], other: Int[Tensor, "*#k"]) -> Bool[Tensor, "*k"]:
+        """Everything that meets."""
+        return torch.ones_like(one + other, dtype=torch.bool)
+
     def panels(self, numbers: Float[Tensor, " elements"]) -> Iterator[tuple[Section, Float[Tensor, "rows section"]]]:
         """The panels of the matrix that has these numbers."""
         for section in self.sections:
@@ -152,7 +194,7 @@ class BandedOrder:
 def _neighbours(system: NormalEquations) -> Ids:
     """Pairs of different reduced blocks that meet, each once (pairs, 2)."""
     m = system.plan.num_reduced
-    codes = [system.plan.pairs.code]
+    codes = [system.plan.pairs]
     for columns, *_ in system.blocks[1:]:  # the first are those of the observations
         block = torch.div(columns, REDUCED_SIZE, rounding_mode="floor").clamp(max=m)
         codes.append((block[:, :, None] * (m + 1) + block[:, None]).flatten())

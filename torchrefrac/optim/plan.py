@@ -79,14 +79,6 @@ class GramRows(NamedTuple):
     ends: list[int]
 
 
-class Pairs(NamedTuple):
-    """Pairs of reduced blocks that tiles meet: `row * (blocks + 1) + column`, ascending, where the number of blocks
-    itself stands for what tiles are filled up with; and which of them those of each tile are, chunk by chunk."""
-
-    code: Int[Tensor, " pairs"]
-    slots: tuple[Int[Tensor, "tiles width width"], ...]
-
-
 @dataclass(frozen=True)
 class SchurPlan:
     """The structure of the normal equations; everything in `order`, an arrangement of the observations given.
@@ -164,11 +156,14 @@ class SchurPlan:
         return REDUCED_SIZE * self.num_reduced + self.num_shared + self.num_extra
 
     @cached_property
-    def pairs(self) -> Pairs:
-        """Which reduced blocks meet in a tile."""
-        codes = [chunk.reduced[:, :, None] * (self.num_reduced + 1) + chunk.reduced[:, None] for chunk in self.chunks]
-        every = torch.unique(torch.cat([self.order[:0], *(torch.unique(code) for code in codes)]))
-        return Pairs(every, tuple(torch.searchsorted(every, code) for code in codes))
+    def pairs(self) -> Int[Tensor, " pairs"]:
+        """Codes, see `codes`, of all pairs of reduced blocks that meet in a tile, ascending."""
+        codes = (torch.unique(self.codes(chunk)) for chunk in self.chunks)
+        return torch.unique(torch.cat([self.order[:0], *codes]))
+
+    def codes(self, chunk: Chunk) -> Int[Tensor, "tiles width width"]:
+        """`row * (num_reduced + 1) + column` of the pairs of reduced blocks that each tile meets."""
+        return chunk.reduced[:, :, None] * (self.num_reduced + 1) + chunk.reduced[:, None]
 
     @cached_property
     def gram_rows(self) -> GramRows:
