@@ -22,7 +22,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.optim.assembly import assemble
+from torchrefrac.optim.blocks import ReducedBlocks
 from torchrefrac.optim.elimination import Elimination
 from torchrefrac.optim.factor import SingularError, step_of, stiffness_of
 from torchrefrac.optim.normal_equations import NormalEquations
@@ -50,11 +50,8 @@ class BandedFactor:
     def of(cls, elimination: Elimination, order: BandedOrder) -> "BandedFactor":
         """In that order of the unknowns."""
         system, position = elimination.system, order.position
-        numbers, gradient = assemble(elimination, order)
-        on_diagonal = order.address(position, position)
-        damped = numbers[on_diagonal] + elimination.damping * system.diagonal
-        diagonal = torch.where(system.dead, 1.0, damped)
-        numbers[on_diagonal] = diagonal
+        blocks = ReducedBlocks.of(elimination)
+        numbers, diagonal = blocks.laid_out(order), blocks.diagonal
         stiffness = diagonal.new_ones(())
         if (null_space := system.null_space) is not None:
             stiffness = stiffness_of(null_space, diagonal)
@@ -63,9 +60,10 @@ class BandedFactor:
             numbers[order.address(multiplier, multiplier)] = -1.0 / stiffness
             diagonal = diagonal + stiffness * null_space.square().sum(dim=1)
         definite = _factorise(order, numbers)
+        on_diagonal = order.address(position, position)
         pivot = (numbers[on_diagonal].square() / diagonal).amin()
         root = diagonal.clamp(min=torch.finfo(diagonal.dtype).tiny).sqrt()
-        return cls(order, numbers, root, stiffness, gradient, definite, pivot)
+        return cls(order, numbers, root, stiffness, blocks.gradient, definite, pivot)
 
     def solve(self, right: Float[Tensor, "size k"]) -> Float[Tensor, "size k"]:
         order = self.order

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.checks import Range, require_ranges
-from torchrefrac.optim.assembly import assemble
+from torchrefrac.optim.blocks import ReducedBlocks
 from torchrefrac.optim.elimination import Elimination
 from torchrefrac.optim.ordering import Clusters
 from torchrefrac.optim.plan import REDUCED_SIZE
@@ -59,14 +59,22 @@ def solve_iteratively(
     """
     system, damping = elimination.system, elimination.damping
     lift = torch.where(system.dead, 1.0, damping * system.diagonal)
+    clusters = Clusters.of(system, options.cluster)
+    pairs = system.pairs
+    formed = REDUCED_SIZE**2 * len(pairs) <= system.rows.numel()
+    if not formed:
+        together = clusters.has(*clusters.position[REDUCED_SIZE * pairs].T)
+        pairs = pairs[together]
+    blocks = ReducedBlocks.of(elimination, pairs)
 
     def times(x: Vector) -> Vector:
         eliminated = elimination.to_reduced(elimination.times_inverse(elimination.to_eliminated(x)))
         return system.apply(x) + lift * x - eliminated
 
-    right = elimination.to_reduced(elimination.times_inverse(system.eliminated_gradient)) - system.gradient
-    precondition = _preconditioner(elimination, lift, coarse, options.cluster, times)
-    x = conjugate_gradients(times, precondition, right, options.tolerance, options.max_iterations, options.forcing)
+    multiply = blocks.times if formed else times
+    precondition = _preconditioner(blocks, clusters, (system.diagonal + lift).sqrt(), coarse, multiply)
+    right = -blocks.gradient
+    x = conjugate_gradients(multiply, precondition, right, options.tolerance, options.max_iterations, options.forcing)
     solved = x.isfinite().all() & (x.any() | ~right.any())
     return torch.where(solved, x, 0.0), solved
 
@@ -99,34 +107,30 @@ def conjugate_gradients(
     return x
 
 
-def _preconditioner(elimination: Elimination, lift: Vector, coarse: Coarse, cluster: int, times: Operator) -> Operator:
-    """x -> D^-1 x + W (W^T S W)^-1 W^T x, where D is made of clusters."""
-    system, plan = elimination.system, elimination.system.plan
-    first = REDUCED_SIZE * plan.num_reduced
-    clusters = Clusters.of(system, cluster)
-    numbers, _ = assemble(elimination, clusters)
-    place = clusters.position[:first]
-    filled = torch.arange(first, clusters.count * clusters.width, device=place.device)
-    numbers.index_add_(0, clusters.address(place, place), lift[:first])
-    numbers[clusters.address(filled, filled)] = 1.0
+def _preconditioner(
+    blocks: ReducedBlocks, clusters: Clusters, root: Vector, coarse: Coarse, times: Operator
+) -> Operator:
+    """x -> D^-1 x + W (W^T S W)^-1 W^T x, where D is made of clusters. root: units of the unknowns, in which B has a
+    unit diagonal."""
+    first, size = REDUCED_SIZE * len(blocks.own), len(root)
+    place, filled = clusters.position[:first], clusters.count * clusters.width
+    numbers, last = blocks.laid_out(clusters), torch.arange(first, filled, device=place.device)
+    numbers[clusters.address(last, last)] = 1.0
     factor = torch.linalg.cholesky_ex(numbers.view(clusters.count, clusters.width, clusters.width))[0]
-    rest = (system.diagonal + lift)[first:].reciprocal()
-    if coarse is None:
-        coarse = lift.new_zeros(plan.size, 0)
-    shared = torch.zeros(plan.size, plan.size - first, dtype=lift.dtype, device=lift.device)
-    shared[first:] = torch.eye(plan.size - first, dtype=lift.dtype, device=lift.device)
-    basis, small = torch.cat((coarse, shared), dim=1), lift.new_zeros(0, 0)
+    rest = root[first:].square().reciprocal()
+    shared = torch.zeros(size, size - first, dtype=root.dtype, device=root.device)
+    shared[first:] = torch.eye(size - first, dtype=root.dtype, device=root.device)
+    basis, small = shared if coarse is None else torch.cat((coarse, shared), dim=1), root.new_zeros(0, 0)
     if basis.shape[1]:
-        root = (system.diagonal + lift).sqrt()[:, None]  # in units in which B has a unit diagonal
-        basis = torch.linalg.qr(basis * root).Q / root
+        basis = torch.linalg.qr(basis * root[:, None]).Q / root[:, None]
         product = torch.stack([times(column) for column in basis.T], dim=1)
         values, vectors = torch.linalg.eigh(torch.nan_to_num(basis.T @ product, 0.0, 0.0, 0.0))
         rounding = len(values) * torch.finfo(values.dtype).eps
         small = vectors * torch.where(values > rounding, values.reciprocal(), 0.0) @ vectors.T
 
     def apply(x: Vector) -> Vector:
-        at = x.new_zeros(clusters.count * clusters.width).index_copy_(0, place, x[:first])
-        own = torch.cholesky_solve(at.view(clusters.count, -1, 1), factor).flatten()[place]
+        at = x.new_zeros(filled).index_copy_(0, place, x[:first]).view(clusters.count, -1, 1)
+        own = torch.cholesky_solve(at, factor).flatten()[place]
         local = torch.cat((own, rest * x[first:]))
         return local + basis @ (small @ (basis.T @ x)) if basis.shape[1] else local
 

@@ -44,7 +44,11 @@ class Clusters:
         """Of so many blocks each."""
         m, size, device = system.plan.num_reduced, system.plan.size, system.rows.device
         together = min(blocks, max(m, 1))
-        order = np.concatenate(_levels(_neighbours(system), np.zeros(0, dtype=np.int64), m)) if blocks > 1 else range(m)
+        order = (
+            np.concatenate(_levels(system.pairs.cpu().numpy(), np.zeros(0, dtype=np.int64), m))
+            if blocks > 1
+            else range(m)
+        )
         position = np.full(size, -1)
         position[: REDUCED_SIZE * m].reshape(m, REDUCED_SIZE)[order] = np.arange(REDUCED_SIZE * m).reshape(
             m, REDUCED_SIZE
@@ -96,7 +100,7 @@ class BandedOrder:
     def of(cls, system: NormalEquations) -> "BandedOrder":
         """The cheapest one that is found."""
         m, null_space = system.plan.num_reduced, system.null_space
-        pairs, anchors = _neighbours(system), _anchors(null_space, m)
+        pairs, anchors = system.pairs.cpu().numpy(), _anchors(null_space, m)
         degree = np.bincount(pairs.flatten(), minlength=m)
         usual = max(float(np.median(degree)), 1.0)
         crowds = {tuple(np.nonzero(degree > factor * usual)[0]) for factor in (np.inf, *CROWDED)}
@@ -189,18 +193,6 @@ class BandedOrder:
         lines = [(s.own.start, s.size, s.first, s.size + s.after) for s in self.sections]
         lines.append((self.inner, self.border, self.elements - self.border**2, 0))
         return torch.tensor(lines, device=self.position.device)
-
-
-def _neighbours(system: NormalEquations) -> Ids:
-    """Pairs of different reduced blocks that meet, each once (pairs, 2)."""
-    m = system.plan.num_reduced
-    codes = [system.plan.pairs]
-    for columns, *_ in system.blocks[1:]:  # the first are those of the observations
-        block = torch.div(columns, REDUCED_SIZE, rounding_mode="floor").clamp(max=m)
-        codes.append((block[:, :, None] * (m + 1) + block[:, None]).flatten())
-    code = torch.unique(torch.cat(codes))
-    pairs = torch.stack((torch.div(code, m + 1, rounding_mode="floor"), code % (m + 1)), dim=1)
-    return pairs[(pairs[:, 0] > pairs[:, 1]) & (pairs[:, 0] < m)].cpu().numpy()
 
 
 def _anchors(null_space: Float[Tensor, "size directions"] | None, num_reduced: int) -> Ids:
