@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchrefrac.numerics import columns_at
 from torchrefrac.optim.choice import choose
 from torchrefrac.optim.elimination import Elimination, Tiles
 from torchrefrac.optim.factor import Factor, ReducedCovariance, SingularError
@@ -100,8 +101,8 @@ class GaussNewtonInverse:
         left = errors.clone()
         for here in in_cache(rows.shape[-1]):
             by = rows[..., here]
-            left[:, here] += (by[:, plan.layout.reduced] * local.index_select(1, plan.reduced[here])).sum(dim=1)
-            left[:, here] += (by[:, plan.layout.eliminated] * places.index_select(1, plan.place[here])).sum(dim=1)
+            left[:, here] += (by[:, plan.layout.reduced] * columns_at(local, plan.reduced[here])).sum(dim=1)
+            left[:, here] += (by[:, plan.layout.eliminated] * columns_at(places, plan.place[here])).sum(dim=1)
         return reduced, eliminated, left
 
     def gauge_times(self, vector: Float[Tensor, " unknowns"]) -> Float[Tensor, " unknowns"]:

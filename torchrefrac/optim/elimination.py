@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchrefrac.numerics import inverse_cholesky_components
+from torchrefrac.numerics import columns_at, inverse_cholesky_components
 from torchrefrac.optim.normal_equations import LOWER, NormalEquations, in_cache
 from torchrefrac.optim.plan import ELIMINATED_SIZE, REDUCED_SIZE, TILE, Chunk, Family
 
@@ -102,7 +102,8 @@ class Elimination:
             whitened = self.whitened[:, chunk.tiles.start * TILE : chunk.tiles.stop * TILE].T.reshape(len(z), -1, 1)
             rest = torch.cat((z_shared, whitened), dim=-1)
             _add_products(by_pair, z, slots(chunk))
-            across = (z.mT @ rest).reshape(-1, mixed.shape[1])
+            across = z.mT @ rest if g else (rest.mT @ z).mT  # of one column the latter is several times as fast
+            across = across.reshape(-1, mixed.shape[1])
             mixed.index_add_(0, chunk.reduced.flatten(), across)
             flat = rest.flatten(0, 1)
             shared.addmm_(flat.T, flat)
@@ -118,7 +119,7 @@ class Elimination:
         local = x[plan.columns].T.contiguous()
         total = self.factor.new_zeros(ELIMINATED_SIZE, plan.num_places)
         for here in in_cache(rows.shape[-1]):
-            at = local.index_select(1, plan.reduced[here])
+            at = columns_at(local, plan.reduced[here])
             moved = (rows[:, layout.reduced, here] * at).sum(dim=1, keepdim=True)
             total.index_add_(1, plan.place[here], (rows[:, layout.eliminated, here] * moved).sum(dim=0))
         return total
@@ -128,7 +129,7 @@ class Elimination:
         plan, rows, layout = self.system.plan, self.system.rows, self.system.plan.layout
         local = self.factor.new_zeros(plan.columns.shape[1], plan.num_reduced)
         for here in in_cache(rows.shape[-1]):
-            at = y.index_select(1, plan.place[here])
+            at = columns_at(y, plan.place[here])
             moved = (rows[:, layout.eliminated, here] * at).sum(dim=1, keepdim=True)
             local.index_add_(1, plan.reduced[here], (rows[:, layout.reduced, here] * moved).sum(dim=0))
         return y.new_zeros(plan.size).index_add_(0, plan.columns.T.flatten(), local.flatten())
@@ -147,7 +148,7 @@ class Elimination:
     def _whitened_rows(self, chunk: Chunk, rows: Rows) -> Slim:
         """J_p X^T."""
         plan = self.system.plan
-        x00, x10, x11, x20, x21, x22 = self.factor.index_select(1, plan.place[chunk.observations])
+        x00, x10, x11, x20, x21, x22 = columns_at(self.factor, plan.place[chunk.observations])
         p0, p1, p2 = rows[:, plan.layout.eliminated].unbind(dim=1)
         return torch.stack((p0 * x00, p0 * x10 + p1 * x11, p0 * x20 + p1 * x21 + p2 * x22))
 

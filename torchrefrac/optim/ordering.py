@@ -143,7 +143,7 @@ class BandedOrder:
             start, first = start + size, first + size * (size + after + self.border)
         return tuple(found)
 
-    @cached_property
+    @property
     def elements(self) -> int:
         """How many numbers the matrix has."""
         return sum(s.size * (s.size + s.after + self.border) for s in self.sections) + self.border**2
