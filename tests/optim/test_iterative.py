@@ -14,6 +14,7 @@ SHAPES = [
     {"families": [(2, 2)], "extra": 3},
     {"extra": 3},
     {"cameras": 9, "points": 150, "pairs": 500, "families": [(2, 3)]},
+    {"cameras": 16, "points": 20, "pairs": 110, "families": [(2, 1)]},  # more blocks than rows: never formed
 ]
 shapes = pytest.mark.parametrize("shape", SHAPES, ids=str)
 TIGHT = IterativeOptions(tolerance=1e-11, forcing=0.0, cluster=1)
@@ -40,6 +41,57 @@ def test_the_whole_step_is_that_of_the_full_normal_equations(make_linear, shape)
     step = Linearized(linear.system(), "iterative", TIGHT).solve(1e-3)
 
     torch.testing.assert_close(flat(step), linear.dense_step(1e-3), rtol=1e-6, atol=1e-7)
+
+
+@shapes
+@pytest.mark.parametrize("cluster", [2, 4, 100])
+def test_with_clusters_of_any_size_the_solution_is_the_same(make_linear, cut, shape, cluster):
+    cut(tile=8)
+    elimination = Elimination(make_linear(**shape).system(), 1e-4)
+
+    solution, solved = solve_iteratively(elimination, None, replace(TIGHT, cluster=cluster))
+
+    assert solved
+    torch.testing.assert_close(solution, solve_dense(elimination)[0], rtol=1e-6, atol=1e-7)
+
+
+def test_one_cluster_of_everything_is_all_there_is(make_linear):
+    elimination = Elimination(make_linear(cameras=16, points=150, pairs=700).system(), 1e-4)
+
+    solution, _ = solve_iteratively(elimination, None, IterativeOptions(0.0, 1, 0.0, 100))
+
+    torch.testing.assert_close(solution, solve_dense(elimination)[0], rtol=1e-9, atol=1e-11)
+
+
+def test_the_larger_the_clusters_the_nearer_is_a_search_that_is_cut_short(make_chain):
+    linear = make_chain(cameras=40, points=400)
+    elimination = Elimination(linear.system(locality=torch.arange(400)), 1e-4)
+    exact, _ = solve_dense(elimination)
+    matrix, _ = elimination.reduced()
+    matrix = matrix.tril() + matrix.tril(-1).T + 1e-4 * torch.diag(elimination.system.diagonal)
+
+    def lack(cluster: int) -> float:
+        solution, _ = solve_iteratively(elimination, None, IterativeOptions(0.0, 8, 0.0, cluster))
+        return float((solution - exact) @ matrix @ (solution - exact))
+
+    assert lack(20) < lack(5) < lack(1)
+
+
+def test_a_search_may_end_where_going_on_promises_little(make_chain):
+    """By the share of the decrease of the quadratic model that is left."""
+    elimination = Elimination(make_chain(cameras=40, points=400).system(), 1e-4)
+    exact, _ = solve_dense(elimination)
+    _, gradient = elimination.reduced()
+
+    left = []
+    for forcing in (0.5, 0.1, 1e-3):
+        solution, solved = solve_iteratively(elimination, None, IterativeOptions(0.0, 500, forcing, 1))
+        assert solved
+        left.append(1.0 - float(gradient @ solution) / float(gradient @ exact))  # of a search that starts from zero
+
+    assert left[0] > left[1] > left[2]
+    assert left[1] < 0.2
+    assert left[2] < 1e-2
 
 
 def test_what_nothing_depends_on_stands_still(make_linear, draw):
