@@ -239,16 +239,17 @@ def test_a_start_that_costs_infinitely_much_is_returned_with_a_status(plant):
 
 
 @pytest.mark.parametrize("refine", [(), ("focal", "plane_height")], ids=["poses and points", "intrinsics and water"])
-def test_the_iterative_solver_comes_to_the_same_minimum_as_the_dense_one(plant, disturb, refine):
+@pytest.mark.parametrize("solver", ["banded", "iterative"])
+def test_other_solvers_come_to_the_same_minimum_as_the_dense_one(plant, disturb, refine, solver):
     planted = plant(noise=0.5, cameras=2)
     start = disturb(planted.truth, size=0.2)
 
-    dense, iterative = (
-        planted.adjusted(start, refine=refine, reduced_solver=solver, terms=[planted.gravity])
-        for solver in ("dense", "iterative")
+    dense, other = (
+        planted.adjusted(start, refine=refine, reduced_solver=name, terms=[planted.gravity])
+        for name in ("dense", solver)
     )
 
-    assert iterative.costs[-1] == pytest.approx(dense.costs[-1], rel=1e-8)
+    assert other.costs[-1] == pytest.approx(dense.costs[-1], rel=1e-8)
 
 
 class _Overshooting:

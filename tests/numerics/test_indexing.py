@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from torchrefrac.numerics import like, pick, thin
+from torchrefrac.numerics import columns_at, like, pick, thin
 
 BATCH = (4, 3)
 INDICES = [
@@ -90,3 +90,9 @@ def test_thinning_keeps_both_ends_and_spreads_the_rest_evenly():
 @pytest.mark.parametrize("count", [5, 6])
 def test_few_rows_are_not_thinned(count):
     assert thin(torch.arange(5), count).tolist() == [0, 1, 2, 3, 4]
+
+
+def test_columns_of_a_table_are_those_asked_for(draw, generator):
+    table, index = draw.normal(3, 7), torch.randint(0, 7, (20,), generator=generator)
+
+    assert torch.equal(columns_at(table, index), table[:, index])

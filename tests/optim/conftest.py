@@ -1,12 +1,13 @@
 """Linear least-squares problems to eliminate points from."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import pytest
 import torch
 
 from tests.optim.linear_problems import Linear, Term
-from torchrefrac.optim import Family, dense, elimination, normal_equations, plan
+from torchrefrac.optim import Family, covariance, elimination, normal_equations, ordering, plan
 
 
 @pytest.fixture
@@ -50,11 +51,50 @@ def make_linear(draw, generator) -> Callable[..., Linear]:
 
 
 @pytest.fixture
-def cut(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """`cut(tile, elements, gram, cached)`: smaller portions of work from now on."""
+def make_chain(make_linear, draw, generator) -> Callable[..., Linear]:
+    """`make_chain()`: 24 cameras in a row, numbered in any order, of which each of 150 points is seen by three that
+    follow each other; `ends` sees every tenth besides. families and extra as of `make_linear`."""
 
-    def portions(tile: int = 64, elements: int = 1 << 19, gram: int = 64, cached: int = 16384) -> None:
-        for module in (plan, elimination, dense):
+    def make(
+        cameras: int = 24,
+        points: int = 150,
+        families: Sequence[tuple[int, int]] = (),
+        extra: int = 0,
+        ends: bool = False,
+    ) -> Linear:
+        linear = make_linear(cameras, 2, cameras, families, extra)
+        first = torch.arange(points) * (cameras - 2) // points
+        camera = torch.randperm(cameras, generator=generator)[first[:, None] + torch.arange(3)].flatten()
+        point = torch.arange(points).repeat_interleave(3)
+        if ends:
+            hub = camera[0]
+            often = torch.arange(0, points, 10)
+            often = often[~(camera.view(-1, 3)[often] == hub).any(dim=1)]
+            camera, point = torch.cat((camera, hub.expand(len(often)))), torch.cat((point, often))
+        size = len(camera), 2
+        return replace(
+            linear,
+            camera=camera,
+            point=point,
+            residual=draw.normal(*size),
+            by_reduced=draw.normal(*size, 6 + sum(s for s, _ in families)),
+            by_eliminated=draw.normal(*size, 3),
+            weight=draw.uniform(0.1, 1.0, len(camera)),
+            num_eliminated=points,
+        )
+
+    return make
+
+
+@pytest.fixture
+def cut(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """`cut(tile, elements, gram, cached, section)`: smaller portions of work from now on."""
+
+    def portions(
+        tile: int = 64, elements: int = 1 << 19, gram: int = 64, cached: int = 16384, section: int = 96
+    ) -> None:
+        monkeypatch.setattr(ordering, "SMALLEST_SECTION", section)
+        for module in (plan, elimination, covariance):
             monkeypatch.setattr(module, "TILE", tile)
         monkeypatch.setattr(plan, "CHUNK_ELEMENTS", elements)
         monkeypatch.setattr(plan, "GRAM_ROWS", gram)

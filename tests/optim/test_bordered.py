@@ -65,7 +65,7 @@ def test_steps_and_covariances_are_the_same_where_blocks_are_alone(points_on_the
     torch.testing.assert_close(found.reduced, step.reduced)
     torch.testing.assert_close(found.eliminated, step.eliminated)
     torch.testing.assert_close(Covariance.of(system).reduced, covariance.reduced)
-    assert len(GaussNewtonInverse.of(system).factor.blocks) == 2
+    assert len(GaussNewtonInverse.of(system).factor.cholesky.blocks) == 2
 
 
 def test_blocks_that_have_a_term_in_common_are_not_alone(make_linear, monkeypatch):

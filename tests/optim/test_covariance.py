@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.optim.linear_problems import with_gauge
-from torchrefrac.optim import Covariance, NormalEquations, SingularError, dense
+from torchrefrac.optim import Covariance, NormalEquations, SingularError, covariance
 
 SHAPES = [
     {},
@@ -177,7 +177,7 @@ def test_an_undetermined_direction_beyond_the_gauge_raises(make_linear, draw, kn
 
 
 def test_more_unknowns_than_fit_raise_by_number(make_linear, monkeypatch):
-    monkeypatch.setattr(dense, "MAX_COVARIANCE", 31)
+    monkeypatch.setattr(covariance, "MAX_COVARIANCE", 31)
 
     Covariance.of(often_seen(make_linear(extra=1)).system())
 

@@ -14,9 +14,10 @@ SHAPES = [
     {"families": [(2, 2)], "extra": 3},
     {"extra": 3},
     {"cameras": 9, "points": 150, "pairs": 500, "families": [(2, 3)]},
+    {"cameras": 16, "points": 20, "pairs": 110, "families": [(2, 1)]},  # more blocks than rows: never formed
 ]
 shapes = pytest.mark.parametrize("shape", SHAPES, ids=str)
-TIGHT = IterativeOptions(tolerance=1e-11)
+TIGHT = IterativeOptions(tolerance=1e-11, forcing=0.0, cluster=1)
 
 
 @shapes
@@ -42,6 +43,57 @@ def test_the_whole_step_is_that_of_the_full_normal_equations(make_linear, shape)
     torch.testing.assert_close(flat(step), linear.dense_step(1e-3), rtol=1e-6, atol=1e-7)
 
 
+@shapes
+@pytest.mark.parametrize("cluster", [2, 4, 100])
+def test_with_clusters_of_any_size_the_solution_is_the_same(make_linear, cut, shape, cluster):
+    cut(tile=8)
+    elimination = Elimination(make_linear(**shape).system(), 1e-4)
+
+    solution, solved = solve_iteratively(elimination, None, replace(TIGHT, cluster=cluster))
+
+    assert solved
+    torch.testing.assert_close(solution, solve_dense(elimination)[0], rtol=1e-6, atol=1e-7)
+
+
+def test_one_cluster_of_everything_is_all_there_is(make_linear):
+    elimination = Elimination(make_linear(cameras=16, points=150, pairs=700).system(), 1e-4)
+
+    solution, _ = solve_iteratively(elimination, None, IterativeOptions(0.0, 1, 0.0, 100))
+
+    torch.testing.assert_close(solution, solve_dense(elimination)[0], rtol=1e-9, atol=1e-11)
+
+
+def test_the_larger_the_clusters_the_nearer_is_a_search_that_is_cut_short(make_chain):
+    linear = make_chain(cameras=40, points=400)
+    elimination = Elimination(linear.system(locality=torch.arange(400)), 1e-4)
+    exact, _ = solve_dense(elimination)
+    matrix, _ = elimination.reduced()
+    matrix = matrix.tril() + matrix.tril(-1).T + 1e-4 * torch.diag(elimination.system.diagonal)
+
+    def lack(cluster: int) -> float:
+        solution, _ = solve_iteratively(elimination, None, IterativeOptions(0.0, 8, 0.0, cluster))
+        return float((solution - exact) @ matrix @ (solution - exact))
+
+    assert lack(20) < lack(5) < lack(1)
+
+
+def test_a_search_may_end_where_going_on_promises_little(make_chain):
+    """By the share of the decrease of the quadratic model that is left."""
+    elimination = Elimination(make_chain(cameras=40, points=400).system(), 1e-4)
+    exact, _ = solve_dense(elimination)
+    _, gradient = elimination.reduced()
+
+    left = []
+    for forcing in (0.5, 0.1, 1e-3):
+        solution, solved = solve_iteratively(elimination, None, IterativeOptions(0.0, 500, forcing, 1))
+        assert solved
+        left.append(1.0 - float(gradient @ solution) / float(gradient @ exact))  # of a search that starts from zero
+
+    assert left[0] > left[1] > left[2]
+    assert left[1] < 0.2
+    assert left[2] < 1e-2
+
+
 def test_what_nothing_depends_on_stands_still(make_linear, draw):
     linear = make_linear(families=[(2, 5)], extra=2)
     linear = replace(linear, terms=())
@@ -65,7 +117,7 @@ def test_a_looser_tolerance_leaves_a_greater_residual(make_linear):
 
     residuals = []
     for tolerance in (1e-1, 1e-4, 1e-8):
-        solution, _ = solve_iteratively(elimination, None, IterativeOptions(tolerance))
+        solution, _ = solve_iteratively(elimination, None, IterativeOptions(tolerance, forcing=0.0, cluster=1))
         residuals.append(float((system @ solution - right).norm() / right.norm()))
 
     assert residuals == sorted(residuals, reverse=True)
@@ -77,7 +129,7 @@ def test_a_search_that_is_cut_short_has_a_step_that_goes_down(make_linear):
     linear = make_linear(cameras=9, points=150, pairs=500, families=[(2, 3)])
     jacobian, residual = linear.rows()
 
-    step = Linearized(linear.system(), "iterative", IterativeOptions(1e-12, max_iterations=3)).solve(1e-4)
+    step = Linearized(linear.system(), "iterative", IterativeOptions(1e-12, max_iterations=3, cluster=1)).solve(1e-4)
 
     assert step.solved
     after = residual + jacobian[:, :-1] @ flat(step)
@@ -92,7 +144,7 @@ def test_units_of_the_unknowns_do_not_matter_to_a_search_that_is_cut_short(make_
     units, coarse = torch.cat((unit[:6].repeat(5), unit[6:9])), draw.normal(33, 2)
 
     one, other = (
-        solve_iteratively(Elimination(problem.system(), 1e-4), by, IterativeOptions(0.0, iterations))[0]
+        solve_iteratively(Elimination(problem.system(), 1e-4), by, IterativeOptions(0.0, iterations, 0.0, 1))[0]
         for problem, by in ((linear, coarse), (linear.in_units(unit), coarse / units[:, None]))
     )
 
@@ -111,7 +163,7 @@ def test_coarse_directions_in_which_the_cost_is_nearly_flat_are_taken_at_once(ma
     exact, _ = solve_dense(elimination)
 
     def error(coarse):
-        solution, _ = solve_iteratively(elimination, coarse, IterativeOptions(1e-14, max_iterations=25))
+        solution, _ = solve_iteratively(elimination, coarse, IterativeOptions(1e-14, 25, 0.0, 1))
         return float((solution - exact).norm() / exact.norm())
 
     assert error(weak) < 1e-3 * error(None)
@@ -144,7 +196,7 @@ def test_a_system_with_a_direction_of_negative_curvature_has_a_step_that_still_g
 
     decreases = []
     for iterations in (1, 3, 200):
-        x, solved = solve_iteratively(elimination, None, IterativeOptions(1e-12, iterations))
+        x, solved = solve_iteratively(elimination, None, IterativeOptions(1e-12, iterations, 0.0, 1))
         assert solved
         decreases.append(float(-(gradient @ x) - 0.5 * (x @ (matrix + bend) @ x)))
 

@@ -1,14 +1,19 @@
-"""Bundle adjustment beside Ceres: same scene, same start, same tolerance, same machine.
+"""Bundle adjustment beside Ceres: same scene, same start, same tolerance, same machine; and of thousands of views.
 
     python tools/bench/bundle.py --ceres FOLDER [--only peers,large,jacobian,iterative] [--threads 1,2]
+    python tools/bench/bundle.py --only flight [--views 1000,2000,5000] [--solvers banded,iterative] [--uncertainty]
 
 `--ceres` is a folder with ba.cc, CMakeLists.txt (needs Ceres 2.1 and CMake) and make_scene.py: it is copied and built
 in a temporary folder, or in `--work`, where scenes are kept too. Every run is a process of its own, timed without the
 reading of the scene and, where compiled, without compiling. Per scene and number of threads: seconds a step of
 Levenberg-Marquardt (a trial step, accepted or not, with its linear solve), ratio to Ceres (analytic derivatives,
-DENSE_SCHUR), trial steps, final cost (half the sum of squares), peak memory. large: 1000 cameras, 3 million
-observations. jacobian: exact derivatives against those with the refrax ratio frozen. iterative: the reduced system
-by conjugate gradients. OpenMP's threads wait by spinning here, for which the machine must be idle.
+DENSE_SCHUR), trial steps, final cost (half the sum of squares), peak memory. With one thread seconds are those of the
+processor, whatever else it does meanwhile; Ceres's are those of a run less those of reading. large: 1000
+cameras, 3 million observations. jacobian: exact derivatives against those with the refrax ratio frozen. iterative: the
+reduced system by conjugate gradients. OpenMP's threads wait by spinning here, for which the machine must be idle.
+
+flight: lines of views over a river (flight.py), 300 points a view, with the focal length refined; each by every solver,
+from the same start to the same minimum. uncertainty: and then how well everything is known.
 """
 
 import argparse
@@ -37,17 +42,28 @@ def main() -> None:
     parser.add_argument("--ceres", type=Path, help="folder of the Ceres program and the scenes' generator")
     parser.add_argument("--only", default="peers,large,jacobian,iterative")
     parser.add_argument("--threads", default="1,2")
+    parser.add_argument("--views", default="1000,2000,5000", help="of the flights")
+    parser.add_argument("--solvers", default="banded,iterative", help="of the flights' reduced systems")
+    parser.add_argument("--uncertainty", action="store_true", help="of the flights, too")
     parser.add_argument("--work", type=Path, help="where to build and keep scenes (a temporary folder)")
     parser.add_argument("--worker", type=Path, help=argparse.SUPPRESS)
-    for flag in ("compiled", "frozen", "iterative"):
+    for flag in ("compiled", "frozen", "iterative", "flight"):
         parser.add_argument(f"--{flag}", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
+    if arguments.flight:
+        print(json.dumps(_fly(arguments)))
+        return
     if arguments.worker:
         print(json.dumps(_work(arguments)))
         return
+    parts, threads = arguments.only.split(","), [int(t) for t in arguments.threads.split(",")]
+    if "flight" in parts:
+        _flights(arguments)
+        parts.remove("flight")
+    if not parts:
+        return
     if arguments.ceres is None:
         sys.exit("--ceres is missing; it must be the folder with ba.cc and make_scene.py")
-    parts, threads = arguments.only.split(","), [int(t) for t in arguments.threads.split(",")]
     with tempfile.TemporaryDirectory() as temporary:
         work = (arguments.work or Path(temporary)).resolve()
         program = _build(arguments.ceres, work)
@@ -65,6 +81,58 @@ def main() -> None:
             _show("1000 cameras", _run(_scene(work, *LARGE), max(threads)))
         if "iterative" in parts:
             _show("50 cameras, iterative", _run(_scene(work, *SCENES["50 cameras"]), max(threads), "--iterative"))
+
+
+def _flights(arguments: argparse.Namespace) -> None:
+    print(HEADER)
+    for views in arguments.views.split(","):
+        for solver in arguments.solvers.split(","):
+            flags = ["--flight", "--views", views, "--solvers", solver, "--threads", "1"]
+            result = _worker(1, [*flags, *(["--uncertainty"] if arguments.uncertainty else [])])
+            _show(f"flight of {views} views, {solver}", result)
+            figure(
+                f"flight of {views} views, {solver}: time of a step",
+                result["seconds"] / result["steps"],
+                "s",
+                "lower",
+                0.3,
+            )
+            figure(f"flight of {views} views, {solver}: memory", result["peak"], "GiB", "lower")
+            if arguments.uncertainty:
+                print(f"{'':4}{result['uncertainty']}")
+
+
+def _fly(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The adjustment of a flight, in a process of its own."""
+    import torch  # noqa: PLC0415 - the process that only starts others does not need these
+    from flight import PIXEL_SIGMA, make_flight  # noqa: PLC0415
+
+    from torchrefrac.bundle import BundleOptions, adjust, uncertainty  # noqa: PLC0415
+    from torchrefrac.optim import LevenbergMarquardtOptions  # noqa: PLC0415
+
+    torch.set_num_threads(1)
+    views = int(arguments.views)
+    flight = make_flight(views, 300 * views)
+    options = BundleOptions(
+        loss="squared",
+        pixel_sigma=PIXEL_SIGMA,
+        refine=("focal",),
+        reduced_solver=arguments.solvers,
+        solver=LevenbergMarquardtOptions(function_tolerance=TOLERANCE),
+    )
+    start = time.process_time()
+    report = adjust(flight.start, options, terms=[flight.positions])
+    seconds = time.process_time() - start
+    result = {"seconds": seconds, "steps": report.iterations, "cost": report.costs[-1]}
+    if arguments.uncertainty:
+        start = time.process_time()
+        known = uncertainty(report.problem, report.scene, PIXEL_SIGMA)
+        center, point = known.pose[:, 3:, 3:].diagonal(dim1=1, dim2=2).sum(dim=1).sqrt(), known.point_sigma
+        result["uncertainty"] = (
+            f"{time.process_time() - start:.1f} s: centres {float(center.median()):.2g} m, points "
+            f"{float(point.median()):.2g} m, focal length {float(known.intrinsics['focal'].max()):.2g}, in the median"
+        )
+    return result | {"peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20}
 
 
 def _compare(program: Path, scene: Path, name: str, threads: int) -> None:
@@ -107,28 +175,45 @@ def _scene(work: Path, cameras: int, points: int) -> Path:
 
 
 def _ceres(program: Path, scene: Path, threads: int) -> dict[str, Any]:
-    command = [program, scene.with_suffix(".txt"), "analytic", "dense_schur", str(threads), "50"]
+    printed, of_all, _, peak = _run_ceres(program, scene, threads, 50)
+    steps = re.search(r"Linear solver +[\d.]+ \((\d+)\)", printed)
+    cost = re.search(r"-> (\S+) rms", printed)
+    assert steps is not None
+    assert cost is not None
+    seconds = _minimizer(printed)
+    if threads == 1:
+        printed, reading, wall, _ = _run_ceres(program, scene, threads, 0)
+        seconds = of_all - reading * (1.0 - _minimizer(printed) / wall)
+    return {"seconds": seconds, "steps": int(steps[1]), "cost": float(cost[1]), "peak": peak}
+
+
+def _minimizer(printed: str) -> float:
+    seconds = re.search(r"minimizer ([\d.]+) s", printed)
+    assert seconds is not None
+    return float(seconds[1])
+
+
+def _run_ceres(program: Path, scene: Path, threads: int, steps: int) -> tuple[str, float, float, float]:
+    """What it prints, its seconds of the processor and of the clock, and its peak memory."""
+    command = [program, scene.with_suffix(".txt"), "analytic", "dense_schur", str(threads), str(steps)]
     pinned = ["taskset", "-c", str(max(os.sched_getaffinity(0)))] if threads == 1 else []
+    start = time.perf_counter()
     process = subprocess.Popen([*pinned, *command], env=os.environ | {"FULL": "1"}, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     printed = process.stdout.read()
     _, _, usage = os.wait4(process.pid, 0)
-    steps = re.search(r"Linear solver +[\d.]+ \((\d+)\)", printed)
-    seconds, cost = re.search(r"minimizer ([\d.]+) s", printed), re.search(r"-> (\S+) rms", printed)
-    assert steps is not None
-    assert seconds is not None
-    assert cost is not None
-    return {
-        "seconds": float(seconds[1]),
-        "steps": int(steps[1]),
-        "cost": float(cost[1]),
-        "peak": usage.ru_maxrss / 2**20,
-    }
+    used = usage.ru_utime + usage.ru_stime
+    return printed, used, time.perf_counter() - start, usage.ru_maxrss / 2**20
 
 
 def _run(scene: Path, threads: int, *flags: str) -> dict[str, Any]:
-    command = [sys.executable, __file__, "--worker", scene.with_suffix(".npz"), "--threads", str(threads), *flags]
+    return _worker(threads, ["--worker", str(scene.with_suffix(".npz")), "--threads", str(threads), *flags])
+
+
+def _worker(threads: int, arguments: list[str]) -> dict[str, Any]:
+    """What this program measures with these arguments."""
     limits = {"OMP_NUM_THREADS": str(threads), "MKL_NUM_THREADS": str(threads)}
+    command = [sys.executable, __file__, *arguments]
     done = subprocess.run(command, env=os.environ | limits, check=True, stdout=subprocess.PIPE, text=True)
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -168,9 +253,10 @@ def _work(arguments: argparse.Namespace) -> dict[str, Any]:
     )
     if arguments.compiled:
         adjust(scene, BundleOptions(loss="squared", compiled=True, solver=LevenbergMarquardtOptions(1)))
-    start = time.perf_counter()
+    clock = time.process_time if threads == 1 else time.perf_counter
+    start = clock()
     report = adjust(scene, options, check=False)
-    seconds = time.perf_counter() - start
+    seconds = clock() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     return {"seconds": seconds, "steps": report.iterations, "cost": report.costs[-1], "peak": peak}
 

@@ -187,7 +187,7 @@ def _against_cameras(
 
 
 def _scale_deviation(
-    found: GaussNewtonInverse,
+    inverse: GaussNewtonInverse,
     motions: Float[Tensor, "size 7"],
     fixed: Float[Tensor, "k 7"],
     weights: Float[Tensor, "every 1"],
@@ -199,11 +199,11 @@ def _scale_deviation(
     functional = (weights[:, 0] * shape)[: len(motions)]
     if gauge is not None and float((functional @ gauge).norm()) > UNNOTICED * float(functional.norm()):
         return math.inf
-    return _deviation(found, functional) / abs(float(shape @ cameras[:, SCALE]))
+    return _deviation(inverse, functional) / abs(float(shape @ cameras[:, SCALE]))
 
 
-def _deviation(found: GaussNewtonInverse, functional: Float[Tensor, " size"]) -> float:
-    return float(found.deviations(functional[:, None])[0])
+def _deviation(inverse: GaussNewtonInverse, functional: Float[Tensor, " size"]) -> float:
+    return float(inverse.deviations(functional[:, None])[0])
 
 
 def _mean_height(problem: BundleProblem, scene: Scene) -> float:

@@ -81,9 +81,9 @@ class BundleProblem:
         system = linearize(self.plan, rows, cost, blocks, gauge)
         weakref.finalize(system, self.buffers.append, rows)  # new memory costs as much as what is written to it
         linearized = Linearized(system, options.reduced_solver, options.iterative)
-        if linearized.is_dense:
+        if linearized.method.name != "iterative":
             return linearized
-        return replace(linearized, coarse=similarity_motions(scene, layout)[0])
+        return replace(linearized, solver="iterative", coarse=similarity_motions(scene, layout)[0])
 
     def detached(self) -> "BundleProblem":
         """The same without a graph in the observations."""

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchrefrac.camera import Intrinsics, projection_parts
 from torchrefrac.camera.jacobians import Axes
 from torchrefrac.geometry import Plane
+from torchrefrac.numerics import columns_at
 from torchrefrac.optim import LossName, RowLayout, in_cache, robust
 from torchrefrac.scene import Interfaces, Observations, Scene
 from torchrefrac.scene.interfaces import layered, without_water
@@ -163,7 +164,7 @@ def _gathered(model: RowModel, scene: Scene, seen: Observations) -> tuple[Mask, 
 
 def _look_up(table: Float[Tensor, "rows *entry"], index: Int[Tensor, " k"]) -> Float[Tensor, "k *entry"]:
     """table[index], with each component of the entries contiguous."""
-    return table.flatten(1).T.contiguous().index_select(1, index).T.unflatten(1, table.shape[1:])
+    return columns_at(table.flatten(1).T.contiguous(), index).T.unflatten(1, table.shape[1:])
 
 
 def _parts(

@@ -10,7 +10,7 @@ from torchrefrac.bundle.common_errors import CommonErrors, common_errors
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.point_noise import point_variances
 from torchrefrac.bundle.problem import BundleProblem
-from torchrefrac.optim import Covariance, LossName, robust
+from torchrefrac.optim import Covariance, LossName, ReducedCovariance, robust
 from torchrefrac.scene import Scene, largest_deviation
 
 SYSTEMATIC, CELLS = 0.005, 4
@@ -29,7 +29,7 @@ class Uncertainty:
     cameras, water and the errors of the model add; relative: without that, as if cameras and water were known.
     intrinsics: by name of what was refined, standard deviations. index_ratio and planes: standard deviations, of planes
     of the two tilts (radians) and the height; zero where fixed. If the gauge was free these are relative to it (inner
-    constraints on the views). covariance: of all reduced unknowns; layout: where they are. common: the errors that
+    constraints on the views). reduced: of the reduced unknowns; layout: where they are. common: the errors that
     observations have in common, where the residuals show any; they are in all of these.
     """
 
@@ -41,14 +41,19 @@ class Uncertainty:
     intrinsics: dict[str, Float[Tensor, "cameras width"]]
     index_ratio: Float[Tensor, ""]
     planes: Float[Tensor, "interfaces 3"]
-    covariance: Float[Tensor, "size size"]
+    reduced: ReducedCovariance
     layout: Layout
     common: CommonErrors | None = None
 
     def medium_sigma(self, name: str) -> float:
         """Standard deviation of one of `rows.MEDIA`, which varies."""
-        column = self.layout.medium_column(name)
-        return float(self.covariance[column, column].clamp(min=0.0).sqrt())
+        column = self.layout.camera.new_tensor(self.layout.medium_column(name))
+        return float(self.reduced[column, column].clamp(min=0.0).sqrt())
+
+    @property
+    def covariance(self) -> Float[Tensor, "size size"]:
+        """`reduced` as a matrix. Raises SingularError where there are too many unknowns for one."""
+        return self.reduced.matrix
 
     @property
     def growth(self) -> float:
@@ -85,9 +90,9 @@ def uncertainty(problem: BundleProblem, scene: Scene, pixel_sigma: float | None 
     effective = sigma if pixel_sigma is not None else sigma * _design_effect(problem, sigma) ** 0.5
     plain = replace(problem, options=replace(options, loss="squared", pixel_sigma=effective))
     found = Covariance.of(plain.linearize(scene).system)
-    reduced = found.reduced * effective**2
-    covariance, residuals = replace(found, reduced=reduced), problem.errors(scene, problem.seen)
-    points = reduced.new_zeros(layout.num_points, 3, 3)
+    reduced = found.among.times(effective**2)
+    covariance, residuals = replace(found, among=reduced), problem.errors(scene, problem.seen)
+    points = residuals.new_zeros(layout.num_points, 3, 3)
     relative = points.clone()
     if not layout.fix_points:
         variance = _own_variances(problem, residuals, pixel_sigma)
@@ -99,10 +104,11 @@ def uncertainty(problem: BundleProblem, scene: Scene, pixel_sigma: float | None 
         relative[layout.reduced_points] = points[layout.reduced_points]
     common = None if pixel_sigma is not None else common_errors(problem, scene, residuals, found.inverse)
     if common is not None:
-        reduced = reduced + common.reduced.mT @ common.reduced / len(common.reduced)
+        reduced = reduced.plus(common.reduced)
         points = points + torch.einsum("dni,dnj->nij", common.points, common.points) / len(common.points)
-    poses = torch.arange(6 * layout.num_views, device=reduced.device).view(-1, 6)
-    deviation = torch.nn.functional.pad(reduced.diagonal().clamp(min=0.0).sqrt(), (0, 1))
+    every = torch.arange(layout.size, device=residuals.device)
+    poses = every[: 6 * layout.num_views].view(-1, 6)
+    deviation = torch.nn.functional.pad(reduced[every, every].clamp(min=0.0).sqrt(), (0, 1))
     return Uncertainty(
         pixel_sigma=sigma,
         effective_sigma=effective,
@@ -112,7 +118,7 @@ def uncertainty(problem: BundleProblem, scene: Scene, pixel_sigma: float | None 
         intrinsics={name: deviation[layout.intrinsics_columns(name, layout.cameras)] for name in layout.intrinsics},
         index_ratio=deviation[layout.medium_column("index_ratio")],
         planes=deviation[layout.plane_columns(layout.interfaces)],
-        covariance=reduced,
+        reduced=reduced,
         layout=layout,
         common=common,
     )

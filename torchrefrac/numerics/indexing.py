@@ -47,6 +47,11 @@ def segment_sum_columns(
     return values.new_zeros(len(values), num_segments).index_add_(1, segment, values)
 
 
+def columns_at(table: Shaped[Tensor, "k m"], index: Int[Tensor, " n"]) -> Shaped[Tensor, "k n"]:
+    """The columns `index` of a table. Where k is small this is several times as fast on a CPU as `index_select`."""
+    return table.gather(1, index.expand(len(table), -1))
+
+
 def morton_code(points: Float[Tensor, "n 3"]) -> Int[Tensor, " n"]:
     """Morton (Z-order) codes of points in their bounding cube: points with near codes are near each other."""
     if len(points) == 0:

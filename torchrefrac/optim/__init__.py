@@ -26,9 +26,13 @@ What is computed when, for N observations of w reduced unknowns each:
 - once at the end, `Covariance` and `GaussNewtonInverse`: dense, size^3 flops, up to MAX_COVARIANCE = 12000 unknowns.
 """
 
+from torchrefrac.optim.banded import solve_banded
 from torchrefrac.optim.batched import Quadratic, SmallProblems, SmallReport, covariance_of, minimize_each, solve_damped
-from torchrefrac.optim.dense import Covariance, GaussNewtonInverse, SingularError, solve_dense
+from torchrefrac.optim.choice import Method, ReducedSolver, choose
+from torchrefrac.optim.covariance import Covariance, GaussNewtonInverse
+from torchrefrac.optim.dense import solve_dense
 from torchrefrac.optim.elimination import Elimination
+from torchrefrac.optim.factor import ReducedCovariance, SingularError
 from torchrefrac.optim.iterative import IterativeOptions, conjugate_gradients, solve_iteratively
 from torchrefrac.optim.levenberg_marquardt import (
     LevenbergMarquardtOptions,
@@ -42,12 +46,13 @@ from torchrefrac.optim.levenberg_marquardt import (
 from torchrefrac.optim.loss import LossName, huber, robust
 from torchrefrac.optim.normal_equations import Blocks, NormalEquations, in_cache, linearize
 from torchrefrac.optim.plan import REDUCED_SIZE, Family, RowLayout, SchurPlan
-from torchrefrac.optim.solve import Linearized, ReducedSolver
+from torchrefrac.optim.solve import Linearized
 
 __all__ = [
     "REDUCED_SIZE", "Blocks", "Covariance", "Elimination", "Family", "GaussNewtonInverse", "IterativeOptions",
-    "LevenbergMarquardtOptions", "Linearization", "Linearized", "LossName", "MinimizeReport", "NormalEquations",
-    "Problem", "Quadratic", "ReducedSolver", "RowLayout", "SchurPlan", "SingularError", "SmallProblems", "SmallReport",
-    "Status", "Step", "conjugate_gradients", "covariance_of", "huber", "in_cache", "linearize", "minimize",
-    "minimize_each", "robust", "solve_damped", "solve_dense", "solve_iteratively",
+    "LevenbergMarquardtOptions", "Linearization", "Linearized", "LossName", "Method", "MinimizeReport",
+    "NormalEquations", "Problem", "Quadratic", "ReducedCovariance", "ReducedSolver", "RowLayout", "SchurPlan",
+    "SingularError", "SmallProblems", "SmallReport", "Status", "Step", "choose", "conjugate_gradients", "covariance_of",
+    "huber", "in_cache", "linearize", "minimize", "minimize_each", "robust", "solve_banded", "solve_damped",
+    "solve_dense", "solve_iteratively",
 ]  # fmt: skip

@@ -5,7 +5,7 @@ With X_i V_i X_i^T = I for every (damped) eliminated block and Z = X E^T, the re
     (B - Z^T Z) dc = -gc + Z^T X gp,        dp = -X^T (X gp + Z dc).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchrefrac.numerics import inverse_cholesky_components
+from torchrefrac.numerics import columns_at, inverse_cholesky_components
 from torchrefrac.optim.normal_equations import LOWER, NormalEquations, in_cache
 from torchrefrac.optim.plan import ELIMINATED_SIZE, REDUCED_SIZE, TILE, Chunk, Family
 
@@ -32,6 +32,16 @@ class Tiles(NamedTuple):
     chunk: Chunk
     by_block: Float[Tensor, "tiles rows own"]
     by_shared: Float[Tensor, "tiles rows shared"]
+
+
+class Products(NamedTuple):
+    """Z^T Z of pairs of reduced blocks, row by row, complete where the id of the first is not below that of the second;
+    of reduced blocks and shared unknowns; and of these. gradient: of the reduced system."""
+
+    by_pair: Float[Tensor, "pairs 36"]
+    mixed: Float[Tensor, "own shared"]
+    shared: Float[Tensor, "shared shared"]
+    gradient: Float[Tensor, " size"]
 
 
 @dataclass(frozen=True)
@@ -72,28 +82,36 @@ class Elimination:
 
     def reduced(self) -> tuple[Float[Tensor, "size size"], Float[Tensor, " size"]]:
         """The reduced system, undamped in the reduced unknowns: the lower triangle of its matrix, and -rhs."""
+        plan, m, g = self.system.plan, self.system.plan.num_reduced, self.system.plan.num_shared
+        by_pair, across, shared, gradient = self.products((m + 1) * (m + 1), plan.codes)
+        matrix = self.system.dense()
+        first, end = REDUCED_SIZE * m, REDUCED_SIZE * m + g
+        square = matrix[:first, :first].view(m, REDUCED_SIZE, m, REDUCED_SIZE)
+        square -= by_pair.view(m + 1, m + 1, REDUCED_SIZE, REDUCED_SIZE)[:m, :m].transpose(1, 2)
+        matrix[first:end, :first] -= across.T
+        matrix[first:end, first:end] -= shared
+        return matrix, gradient
+
+    def products(self, pairs: int, slots: Callable[[Chunk], Int[Tensor, "tiles width width"]]) -> "Products":
+        """Z^T Z, chunk by chunk. slots: which of so many pairs those of the blocks of each tile are."""
         m, g = self.system.plan.num_reduced, self.system.plan.num_shared
-        by_pair = self.factor.new_zeros((m + 1) * (m + 1), BLOCK)
+        by_pair = self.factor.new_zeros(pairs, BLOCK)
         mixed = self.factor.new_zeros(m + 1, REDUCED_SIZE * (g + 1))
         shared = self.factor.new_zeros(g + 1, g + 1)
         for chunk, z, z_shared in self.tiles():
             whitened = self.whitened[:, chunk.tiles.start * TILE : chunk.tiles.stop * TILE].T.reshape(len(z), -1, 1)
             rest = torch.cat((z_shared, whitened), dim=-1)
-            _add_products(by_pair, z, chunk.reduced)
-            across = (z.mT @ rest).reshape(-1, mixed.shape[1])
+            _add_products(by_pair, z, slots(chunk))
+            across = z.mT @ rest if g else (rest.mT @ z).mT  # of one column the latter is several times as fast
+            across = across.reshape(-1, mixed.shape[1])
             mixed.index_add_(0, chunk.reduced.flatten(), across)
             flat = rest.flatten(0, 1)
             shared.addmm_(flat.T, flat)
-        matrix, rhs = self.system.dense(), self.system.gradient.clone()
         first, end = REDUCED_SIZE * m, REDUCED_SIZE * m + g
-        square = matrix[:first, :first].view(m, REDUCED_SIZE, m, REDUCED_SIZE)
-        square -= by_pair.view(m + 1, m + 1, REDUCED_SIZE, REDUCED_SIZE)[:m, :m].transpose(1, 2)
-        across = mixed[:m].reshape(first, g + 1)
-        matrix[first:end, :first] -= across[:, :g].T
-        matrix[first:end, first:end] -= shared[:g, :g]
-        rhs[:first] -= across[:, g]
-        rhs[first:end] -= shared[:g, g]
-        return matrix, rhs
+        by_block, gradient = mixed[:m].reshape(first, g + 1), self.system.gradient.clone()
+        gradient[:first] -= by_block[:, g]
+        gradient[first:end] -= shared[:g, g]
+        return Products(by_pair, by_block[:, :g], shared[:g, :g], gradient)
 
     def to_eliminated(self, x: Float[Tensor, " size"]) -> Places:
         """E^T x."""
@@ -101,7 +119,7 @@ class Elimination:
         local = x[plan.columns].T.contiguous()
         total = self.factor.new_zeros(ELIMINATED_SIZE, plan.num_places)
         for here in in_cache(rows.shape[-1]):
-            at = local.index_select(1, plan.reduced[here])
+            at = columns_at(local, plan.reduced[here])
             moved = (rows[:, layout.reduced, here] * at).sum(dim=1, keepdim=True)
             total.index_add_(1, plan.place[here], (rows[:, layout.eliminated, here] * moved).sum(dim=0))
         return total
@@ -111,7 +129,7 @@ class Elimination:
         plan, rows, layout = self.system.plan, self.system.rows, self.system.plan.layout
         local = self.factor.new_zeros(plan.columns.shape[1], plan.num_reduced)
         for here in in_cache(rows.shape[-1]):
-            at = y.index_select(1, plan.place[here])
+            at = columns_at(y, plan.place[here])
             moved = (rows[:, layout.eliminated, here] * at).sum(dim=1, keepdim=True)
             local.index_add_(1, plan.reduced[here], (rows[:, layout.reduced, here] * moved).sum(dim=0))
         return y.new_zeros(plan.size).index_add_(0, plan.columns.T.flatten(), local.flatten())
@@ -130,7 +148,7 @@ class Elimination:
     def _whitened_rows(self, chunk: Chunk, rows: Rows) -> Slim:
         """J_p X^T."""
         plan = self.system.plan
-        x00, x10, x11, x20, x21, x22 = self.factor.index_select(1, plan.place[chunk.observations])
+        x00, x10, x11, x20, x21, x22 = columns_at(self.factor, plan.place[chunk.observations])
         p0, p1, p2 = rows[:, plan.layout.eliminated].unbind(dim=1)
         return torch.stack((p0 * x00, p0 * x10 + p1 * x11, p0 * x20 + p1 * x21 + p2 * x22))
 
@@ -166,17 +184,16 @@ def _outer(slim: Slim, rows: Float[Tensor, "residuals size k"]) -> Float[Tensor,
 
 
 def _add_products(
-    by_pair: Float[Tensor, "pairs 36"], z: Float[Tensor, "tiles rows own"], reduced: Int[Tensor, "tiles width"]
+    by_pair: Float[Tensor, "pairs 36"], z: Float[Tensor, "tiles rows own"], slot: Int[Tensor, "tiles width width"]
 ) -> None:
     """Add the 6x6 blocks of Z^T Z to those of pairs of reduced blocks: none is left out in the lower triangle. Their
     ids ascend along a tile, so that a strip of rows needs only the columns up to its own."""
-    m, across = int(by_pair.shape[0] ** 0.5), reduced.shape[1]
+    across = slot.shape[1]
     bounds = sorted({0, across // 2, across})
     for first, end in pairwise(bounds):
         strip = z[..., first * REDUCED_SIZE : end * REDUCED_SIZE].mT @ z[..., : end * REDUCED_SIZE]
         blocks = strip.view(-1, end - first, REDUCED_SIZE, end, REDUCED_SIZE).transpose(2, 3).reshape(-1, BLOCK)
-        pair = reduced[:, first:end, None] * m + reduced[:, None, :end]
-        by_pair.index_add_(0, pair.flatten(), blocks)
+        by_pair.index_add_(0, slot[:, first:end, :end].flatten(), blocks)
 
 
 def _lower_times(x: Float[Tensor, "6 n"], y: Float[Tensor, "3 n"]) -> Float[Tensor, "3 n"]:

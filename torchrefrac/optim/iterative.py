@@ -1,8 +1,13 @@
 """The reduced system solved by conjugate gradients, without forming it: for many reduced blocks.
 
-The preconditioner is the reduced system's own block diagonal (Schur-Jacobi), and beside it a coarse correction: the
-system restricted to a few directions in which all blocks move together. Where such directions are weak - everything can
-move in them at next to no cost - they converge very slowly block by block.
+The preconditioner takes clusters of neighbouring blocks exactly, each without the others (Kushal and Agarwal,
+"Visibility based preconditioning for bundle adjustment", 2012), and beside them a coarse correction: the system
+restricted to a few directions in which all blocks move together. Where such directions are weak - everything can move
+in them at next to no cost - they converge very slowly block by block.
+
+A step need not be exact: the next one starts from another linearisation. The search ends where going on promises little
+(Nash and Sofer, "Assessing a search direction within a truncated-Newton method", 1990): where the last iteration
+lowered the quadratic model by less than the share `forcing` of what all of them did in the mean.
 """
 
 from collections.abc import Callable
@@ -13,7 +18,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.checks import Range, require_ranges
+from torchrefrac.optim.blocks import ReducedBlocks
 from torchrefrac.optim.elimination import Elimination
+from torchrefrac.optim.ordering import Clusters
 from torchrefrac.optim.plan import REDUCED_SIZE
 
 Vector = Float[Tensor, " size"]
@@ -23,13 +30,22 @@ Operator = Callable[[Vector], Vector]
 
 @dataclass(frozen=True)
 class IterativeOptions:
-    """Stop when the residual has fallen to `tolerance` of the right side, in the preconditioner's norm."""
+    """Stop when the residual has fallen to `tolerance` of the right side, in the preconditioner's norm, or when an
+    iteration lowers the quadratic model by less than `forcing` of what all did in the mean (0: never). cluster: how
+    many reduced blocks the preconditioner takes together."""
 
     tolerance: float = 1e-6
     max_iterations: int = 500
+    forcing: float = 0.1
+    cluster: int = 100
 
     def __post_init__(self) -> None:
-        bounds = {"tolerance": Range(at_least=0.0, at_most=1.0), "max_iterations": Range(at_least=1, at_most=1_000_000)}
+        bounds = {
+            "tolerance": Range(at_least=0.0, at_most=1.0),
+            "max_iterations": Range(at_least=1, at_most=1_000_000),
+            "forcing": Range(at_least=0.0, at_most=1.0),
+            "cluster": Range(at_least=1, at_most=1000),
+        }
         require_ranges(self, bounds)
 
 
@@ -43,35 +59,47 @@ def solve_iteratively(
     """
     system, damping = elimination.system, elimination.damping
     lift = torch.where(system.dead, 1.0, damping * system.diagonal)
+    clusters = Clusters.of(system, options.cluster)
+    pairs = system.pairs
+    formed = REDUCED_SIZE**2 * len(pairs) <= system.rows.numel()
+    if not formed:
+        together = clusters.has(*clusters.position[REDUCED_SIZE * pairs].T)
+        pairs = pairs[together]
+    blocks = ReducedBlocks.of(elimination, pairs)
 
     def times(x: Vector) -> Vector:
         eliminated = elimination.to_reduced(elimination.times_inverse(elimination.to_eliminated(x)))
         return system.apply(x) + lift * x - eliminated
 
-    right = elimination.to_reduced(elimination.times_inverse(system.eliminated_gradient)) - system.gradient
-    precondition = _preconditioner(elimination, lift, coarse, times)
-    x = conjugate_gradients(times, precondition, right, options.tolerance, options.max_iterations)
+    multiply = blocks.times if formed else times
+    precondition = _preconditioner(blocks, clusters, (system.diagonal + lift).sqrt(), coarse, multiply)
+    right = -blocks.gradient
+    x = conjugate_gradients(multiply, precondition, right, options.tolerance, options.max_iterations, options.forcing)
     solved = x.isfinite().all() & (x.any() | ~right.any())
     return torch.where(solved, x, 0.0), solved
 
 
 def conjugate_gradients(
-    times: Operator, precondition: Operator, right: Vector, tolerance: float, max_iterations: int
+    times: Operator, precondition: Operator, right: Vector, tolerance: float, max_iterations: int, forcing: float = 0.0
 ) -> Vector:
     """x with A x = right, or as near as it came: the search ends when the residual has fallen to `tolerance` of
-    the right side in the preconditioner's norm, or where A turns out not to be positive definite."""
+    the right side in the preconditioner's norm, when an iteration gains less than `forcing` of the mean one, or where A
+    turns out not to be positive definite."""
     x = torch.zeros_like(right)
     residual, z = right, precondition(right)
     direction = z
     size = start = residual @ z
-    for _ in range(max_iterations):
-        if bool(size <= tolerance**2 * start):
+    gain = last = torch.zeros_like(size)
+    for iteration in range(max_iterations):
+        if bool((size <= tolerance**2 * start) | (iteration * last < forcing * gain)):
             break
         along = times(direction)
         bend = direction @ along
         if not bool(bend > 0.0):
             break
         length = size / bend
+        last = length * size
+        gain = gain + last
         x, residual = x + length * direction, residual - length * along
         z = precondition(residual)
         before, size = size, residual @ z
@@ -79,46 +107,31 @@ def conjugate_gradients(
     return x
 
 
-def _preconditioner(elimination: Elimination, lift: Vector, coarse: Coarse, times: Operator) -> Operator:
-    """x -> D^-1 x + W (W^T S W)^-1 W^T x."""
-    system, plan = elimination.system, elimination.system.plan
-    first = REDUCED_SIZE * plan.num_reduced
-    blocks = _block_diagonal(elimination, lift)
-    factor = torch.linalg.cholesky_ex(blocks)[0]
-    rest = (system.diagonal + lift)[first:].reciprocal()
-    if coarse is None:
-        coarse = lift.new_zeros(plan.size, 0)
-    shared = torch.zeros(plan.size, plan.size - first, dtype=lift.dtype, device=lift.device)
-    shared[first:] = torch.eye(plan.size - first, dtype=lift.dtype, device=lift.device)
-    basis, small = torch.cat((coarse, shared), dim=1), lift.new_zeros(0, 0)
+def _preconditioner(
+    blocks: ReducedBlocks, clusters: Clusters, root: Vector, coarse: Coarse, times: Operator
+) -> Operator:
+    """x -> D^-1 x + W (W^T S W)^-1 W^T x, where D is made of clusters. root: units of the unknowns, in which B has a
+    unit diagonal."""
+    first, size = REDUCED_SIZE * len(blocks.own), len(root)
+    place, filled = clusters.position[:first], clusters.count * clusters.width
+    numbers, last = blocks.laid_out(clusters), torch.arange(first, filled, device=place.device)
+    numbers[clusters.address(last, last)] = 1.0
+    factor = torch.linalg.cholesky_ex(numbers.view(clusters.count, clusters.width, clusters.width))[0]
+    rest = root[first:].square().reciprocal()
+    shared = torch.zeros(size, size - first, dtype=root.dtype, device=root.device)
+    shared[first:] = torch.eye(size - first, dtype=root.dtype, device=root.device)
+    basis, small = shared if coarse is None else torch.cat((coarse, shared), dim=1), root.new_zeros(0, 0)
     if basis.shape[1]:
-        root = (system.diagonal + lift).sqrt()[:, None]  # in units in which B has a unit diagonal
-        basis = torch.linalg.qr(basis * root).Q / root
+        basis = torch.linalg.qr(basis * root[:, None]).Q / root[:, None]
         product = torch.stack([times(column) for column in basis.T], dim=1)
         values, vectors = torch.linalg.eigh(torch.nan_to_num(basis.T @ product, 0.0, 0.0, 0.0))
         rounding = len(values) * torch.finfo(values.dtype).eps
         small = vectors * torch.where(values > rounding, values.reciprocal(), 0.0) @ vectors.T
 
     def apply(x: Vector) -> Vector:
-        own = torch.cholesky_solve(x[:first].view(-1, REDUCED_SIZE, 1), factor).flatten()
+        at = x.new_zeros(filled).index_copy_(0, place, x[:first]).view(clusters.count, -1, 1)
+        own = torch.cholesky_solve(at, factor).flatten()[place]
         local = torch.cat((own, rest * x[first:]))
         return local + basis @ (small @ (basis.T @ x)) if basis.shape[1] else local
 
     return apply
-
-
-def _block_diagonal(elimination: Elimination, lift: Vector) -> Float[Tensor, "blocks 6 6"]:
-    """The 6x6 diagonal blocks of the damped reduced system."""
-    system, m = elimination.system, elimination.system.plan.num_reduced
-    first = REDUCED_SIZE * m
-    blocks = lift.new_zeros(m + 1, REDUCED_SIZE, REDUCED_SIZE)
-    for chunk, z, _ in elimination.tiles():
-        by_block = z.unflatten(-1, (chunk.reduced.shape[1], REDUCED_SIZE)).transpose(1, 2).flatten(0, 1)
-        blocks.index_add_(0, chunk.reduced.flatten(), by_block.mT @ by_block, alpha=-1.0)
-    own = blocks[:m]
-    for columns, hessian, _ in system.blocks:
-        of = columns // REDUCED_SIZE
-        k, i, j = ((of[:, :, None] == of[:, None, :]) & (columns[:, :, None] < first)).nonzero().T
-        row, column = columns[k, i], columns[k, j]
-        own.view(-1).index_add_(0, row * REDUCED_SIZE + column % REDUCED_SIZE, hessian[k, i, j])
-    return own + torch.diag_embed(lift[:first].view(m, REDUCED_SIZE))

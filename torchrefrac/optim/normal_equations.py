@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.optim.plan import CACHED, ELIMINATED_SIZE, SchurPlan
+from torchrefrac.optim.plan import CACHED, ELIMINATED_SIZE, REDUCED_SIZE, SchurPlan
 
 NEGLIGIBLE = 1e-18
 MANY_LONE = 100
@@ -96,6 +96,18 @@ class NormalEquations:
             if bool((torch.where(there, block, -1) > lowest[:, None]).any()):
                 return 0
         return count
+
+    @cached_property
+    def pairs(self) -> Int[Tensor, "pairs 2"]:
+        """Different reduced blocks that meet in a tile or in a term, the larger first, ascending."""
+        m = self.plan.num_reduced
+        codes = [self.plan.pairs]
+        for columns, *_ in self.blocks[1:]:  # the first are those of the observations
+            block = torch.div(columns, REDUCED_SIZE, rounding_mode="floor").clamp(max=m)
+            codes.append((block[:, :, None] * (m + 1) + block[:, None]).flatten())
+        code = torch.unique(torch.cat(codes))
+        pairs = torch.stack((torch.div(code, m + 1, rounding_mode="floor"), code % (m + 1)), dim=1)
+        return pairs[(pairs[:, 0] > pairs[:, 1]) & (pairs[:, 0] < m)]
 
     def apply(self, x: Float[Tensor, " size"]) -> Float[Tensor, " size"]:
         """B x."""

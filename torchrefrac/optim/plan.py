@@ -156,6 +156,16 @@ class SchurPlan:
         return REDUCED_SIZE * self.num_reduced + self.num_shared + self.num_extra
 
     @cached_property
+    def pairs(self) -> Int[Tensor, " pairs"]:
+        """Codes, see `codes`, of all pairs of reduced blocks that meet in a tile, ascending."""
+        codes = (torch.unique(self.codes(chunk)) for chunk in self.chunks)
+        return torch.unique(torch.cat([self.order[:0], *codes]))
+
+    def codes(self, chunk: Chunk) -> Int[Tensor, "tiles width width"]:
+        """`row * (num_reduced + 1) + column` of the pairs of reduced blocks that each tile meets."""
+        return chunk.reduced[:, :, None] * (self.num_reduced + 1) + chunk.reduced[:, None]
+
+    @cached_property
     def gram_rows(self) -> GramRows:
         """Where the observations of each reduced block are, a stretch of CACHED observations at a time."""
         count, m = len(self.reduced), self.num_reduced

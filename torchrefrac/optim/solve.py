@@ -1,27 +1,25 @@
 """From normal equations to a step."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from functools import cached_property
 
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.optim.dense import solve_dense
+from torchrefrac.optim.choice import Method, ReducedSolver, choose
 from torchrefrac.optim.elimination import Elimination
+from torchrefrac.optim.factor import step_of
 from torchrefrac.optim.iterative import IterativeOptions, solve_iteratively
 from torchrefrac.optim.levenberg_marquardt import Step
 from torchrefrac.optim.normal_equations import DIAGONAL, NormalEquations
-
-ReducedSolver = Literal["auto", "dense", "iterative"]
-MAX_DENSE = 7200
 
 
 @dataclass(frozen=True)
 class Linearized:
     """Normal equations that Levenberg-Marquardt can solve.
 
-    solver: "dense" Cholesky, "iterative" (preconditioned conjugate gradients on the reduced system, never formed), or
-    "auto": dense up to MAX_DENSE reduced unknowns. coarse: see `solve_iteratively`.
+    solver: "dense" Cholesky, "banded" Cholesky, "iterative" (preconditioned conjugate gradients on the reduced system,
+    never formed), or "auto", see `choose`. coarse: see `solve_iteratively`.
     """
 
     system: NormalEquations
@@ -33,19 +31,19 @@ class Linearized:
     def cost(self) -> Float[Tensor, ""]:
         return self.system.cost
 
-    @property
-    def is_dense(self) -> bool:
-        """Whether the reduced system is formed."""
-        return self.solver == "dense" or (self.solver == "auto" and self.system.plan.size <= MAX_DENSE)
+    @cached_property
+    def method(self) -> Method:
+        """How the reduced system is solved."""
+        return choose(self.system, self.solver)
 
     def solve(self, damping: float) -> Step:
         """Step of the system damped by `damping` times its own diagonal. `solved` is False when it is singular."""
         system = self.system
         elimination = Elimination(system, damping)
-        if self.is_dense:
-            reduced, solved = solve_dense(elimination)
-        else:
+        if self.method.name == "iterative":
             reduced, solved = solve_iteratively(elimination, self.coarse, self.iterative)
+        else:
+            reduced, solved = step_of(self.method.factor(elimination))
         places = elimination.back_substitute(reduced)
         gain = -(system.gradient @ reduced) - (system.eliminated_gradient * places).sum()
         diagonal = system.eliminated_hessian[DIAGONAL]

@@ -205,7 +205,7 @@ def common_tilt(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Float[Tens
 def _of_levels(known: Uncertainty) -> Float[Tensor, "e e"]:
     """Covariance of the heights of the interfaces, none of which tilts."""
     columns = known.layout.plane_columns(known.layout.interfaces)[:, 2]
-    return known.covariance[columns[:, None], columns]
+    return known.reduced[columns[:, None], columns]
 
 
 def _of_planes(known: Uncertainty, surfaces: Interfaces) -> Float[Tensor, "e e 3 3"]:
@@ -218,7 +218,7 @@ def _of_planes(known: Uncertainty, surfaces: Interfaces) -> Float[Tensor, "e e 3
     plane = torch.cat((surfaces.offset[:, None], -normal[:, :2]), dim=1)
     by = torch.cat((rises, -turns[:, :2]), dim=1) - plane[..., None] * turns[:, 2:] / normal[:, 2:, None]
     by = by / normal[:, 2:, None]
-    covariance = known.covariance[columns[:, None, :, None], columns[None, :, None]]
+    covariance = known.reduced[columns[:, None, :, None], columns[None, :, None]]
     return by[:, None] @ covariance @ by[None].mT
 
 
