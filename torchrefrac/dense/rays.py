@@ -1,5 +1,6 @@
 """What a pixel looks along: a ray that is bent at the water, and may end before or after it."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -62,6 +63,12 @@ class PixelRays(NamedTuple):
         origin = self.origin[index]
         entry = origin if self.entry is self.origin else self.entry[index]
         return PixelRays(entry, origin, self.before[index], self.after[index])
+
+    @classmethod
+    def together(cls, parts: Sequence["PixelRays"]) -> "PixelRays":
+        """Several, one after the other."""
+        entry, origin, before, after = (torch.cat(vectors) for vectors in zip(*parts, strict=True))
+        return cls(origin if all(part.entry is part.origin for part in parts) else entry, origin, before, after)
 
 
 def project_moving(
