@@ -6,6 +6,7 @@ for patches at a quarter of the speed (tools/bench/dense.py). kornia makes the s
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -80,8 +81,14 @@ class Atlas:
         self, image: Int[Tensor, " p"], level: Int[Tensor, " p"], pixels: Float[Tensor, "p k 2"]
     ) -> Bool[Tensor, " p"]:
         """Whether all k pixels of an image lie in its copy `level`, half a pixel from the border."""
-        at = (pixels - self.origin[image].to(pixels)[:, None]) * self._shrink(level, pixels)[:, None]
-        return ((at > 0.5) & (at < self.size[image, level].to(at)[:, None] - 0.5)).flatten(1).all(dim=1)
+        low, high = (bound.to(pixels)[image, level][:, None] for bound in self._inner)
+        return ((pixels > low) & (pixels < high)).flatten(1).all(dim=1)
+
+    @cached_property
+    def _inner(self) -> tuple[Float[Tensor, "m levels 2"], Float[Tensor, "m levels 2"]]:
+        """The least and the greatest pixels of each copy that are half a pixel from its border."""
+        stretch = 2.0 ** torch.arange(self.levels, device=self.size.device).to(self.size)[:, None]
+        return self.origin[:, None] + 0.5 * stretch, self.origin[:, None] + (self.size - 0.5) * stretch
 
     def sample(
         self, image: Int[Tensor, " p"], level: Int[Tensor, " p"], pixels: Float[Tensor, "p k 2"]

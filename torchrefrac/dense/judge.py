@@ -105,11 +105,10 @@ def _sigma(
     left = 2.0 * (1.0 - score) / freedom
     floor = 2.0 * (options.noise / contrast.clamp(min=options.min_contrast)).square() / samples
     hessian = torch.where(visible[..., None, None], agreement.hessian, 0.0).sum(dim=1).to(score)
-    together = agreement.together(visible, window).to(score)
     inverse, exists = covariance_of(hessian)
-    of_distance = inverse[:, :1]
-    shared = (of_distance @ together).square().sum(dim=(1, 2))
-    return (0.5 * torch.maximum(left, floor) * (of_distance[:, 0, 0] + shared)).sqrt(), exists
+    of_distance = inverse[:, 0]
+    shared = agreement.change(of_distance.to(agreement.vectors), visible, window).square().sum(dim=-1).to(score)
+    return (0.5 * torch.maximum(left, floor) * (of_distance[:, 0] + shared)).sqrt(), exists
 
 
 def _footprint(corners: Float[Tensor, "n 3 3"], sight: Float[Tensor, "n 3"], window: Window) -> Float[Tensor, " n"]:

@@ -7,7 +7,8 @@ vectors f^ and g^ (mean removed, norm 1),
     c_v = 1 - ZNCC(f, g_v) = |f^ - g^_v|^2 / 2,        cost = sum_v rho(c_v),   rho(c) = c / (1 + c / tau),
 
 a sum of squares. With B = dg/ds (mean removed) and n = |g|, the derivative of f^ - g^ is -(B - g^ g^T B) / n: all that
-the normal equations need are inner products of the five vectors B1, B2, B3, g, f.
+the normal equations need are inner products of the five vectors B1, B2, B3, g, f. f^ and g have no mean, so that of B
+matters in the products of B alone.
 """
 
 from collections.abc import Sequence
@@ -29,24 +30,27 @@ TINY = 1e-6  # squared norm of a window without any texture
 
 class Agreement(NamedTuple):
     """ZNCC, and where it is usable; gradient and Hessian of c = 1 - ZNCC; motion: pixels by which the patch moves in
-    the image per unit of its distance; for `together`, vectors: B1, B2, B3, g and f, per_norm: 1 / n, and by_g: g^T B
-    per n, in states."""
+    the image per unit of its distance; for `change`, vectors: B1, B2, B3 and g, per_norm: 1 / n, and by_g: g^T B / n^2
+    in states."""
 
     zncc: Float[Tensor, "n v"]
     usable: Bool[Tensor, "n v"]
     motion: Float[Tensor, "n v"]
     gradient: Float[Tensor, "n v 3"]
     hessian: Float[Tensor, "n v 3 3"]
-    vectors: Float[Tensor, "n v 5 samples"]
+    vectors: Float[Tensor, "n v 4 samples"]
     per_norm: Float[Tensor, "n v"]
     by_g: Float[Tensor, "n v 3"]
 
-    def together(self, images: Bool[Tensor, "n v"], window: Window) -> Float[Tensor, "n 3 samples"]:
-        """The derivatives of g^, each state's, added up over some images."""
-        of_corners = window.basis.T.to(self.by_g).expand(*images.shape, 3, 3)
-        mixture = torch.cat((of_corners, -self.by_g[..., None], torch.zeros_like(self.by_g)[..., None]), dim=-1)
-        mixture = mixture * (self.per_norm * images)[..., None, None]
-        return mixture.transpose(1, 2).flatten(2) @ self.vectors.flatten(1, 2)
+    def change(
+        self, step: Float[Tensor, "n 3"], images: Bool[Tensor, "n v"], window: Window
+    ) -> Float[Tensor, "n samples"]:
+        """How the sum of g^ over some images changes as the states do by a step."""
+        of_corners = (step @ window.basis.T.to(step))[:, None].expand(*images.shape, 3)
+        of_g = -(self.by_g @ step[..., None])
+        parts = torch.cat((of_corners, of_g), dim=-1) * (self.per_norm * images)[..., None]
+        total = (parts.flatten(1)[:, None] @ self.vectors.flatten(1, 2))[:, 0]
+        return total - total.mean(dim=-1, keepdim=True)
 
 
 class Seen(NamedTuple):
@@ -114,28 +118,30 @@ class Comparison(NamedTuple):
         values, slopes = self.atlas.sample_with_slopes(places)
         across, down = slopes.mT.contiguous().split(1, dim=1)
         on_sheet = along * per_pixel
-        vectors = like.new_empty(len(image), 5, weights.shape[1])
-        moving = torch.mul(on_sheet[..., :1], across, out=vectors[:, :3])
+        vectors = like.new_empty(*shape, 4, weights.shape[1])
+        moving, g = vectors.flatten(0, 1)[:, :3], vectors.flatten(0, 1)[:, 3]
+        torch.mul(on_sheet[..., :1], across, out=moving)
         moving.addcmul_(on_sheet[..., 1:], down).mul_(weights)
-        vectors[:, 3] = values
-        vectors[:, 4] = self.reference.repeat_interleave(shape[1], dim=0)
-        vectors -= vectors.mean(dim=-1, keepdim=True)
-        gram = vectors @ vectors.mT
+        torch.sub(values, values.mean(dim=-1, keepdim=True), out=g)
+        by_f = (vectors.flatten(1, 2) @ self.reference[..., None]).view(-1, 4)
+        gram = vectors.flatten(0, 1) @ vectors.flatten(0, 1).mT
+        sums = moving.sum(dim=-1)
+        squares = gram[:, :3, :3].addcmul(sums[:, :, None], sums[:, None], value=-1.0 / weights.shape[1])
         norm_sq = gram[:, 3, 3]
         inside = self.atlas.contains(image, level, (at.flatten(1) @ window.outer.to(like)).unflatten(1, (-1, 2)))
         usable = valid.flatten() & (norm_sq > TINY) & inside
         per_norm = norm_sq.clamp(min=TINY).rsqrt()[:, None]
-        by_f = (gram[:, :3, 4] @ basis) * per_norm
+        zncc = by_f[:, 3:] * per_norm
         by_g = (gram[:, :3, 3] @ basis) * per_norm.square()
-        squares = gram[:, :3, :3].flatten(1) @ window.squared_basis.to(like) * per_norm.square()
-        zncc = gram[:, 3, 4] * per_norm[:, 0]
+        hessian = squares.flatten(1) @ window.squared_basis.to(like) * per_norm.square()
+        hessian = hessian.view(-1, 3, 3) - by_g[:, :, None] * by_g[:, None, :]
         return Agreement(
             zncc.view(shape),
             usable.view(shape) & self.present,
             along.mean(dim=1).norm(dim=-1).view(shape),
-            (by_g * zncc[:, None] - by_f).view(*shape, 3),
-            (squares.view(-1, 3, 3) - by_g[:, :, None] * by_g[:, None, :]).view(*shape, 3, 3),
-            vectors.view(*shape, *vectors.shape[1:]),
+            (by_g * zncc - by_f[:, :3] @ basis * per_norm).view(*shape, 3),
+            hessian.view(*shape, 3, 3),
+            vectors,
             per_norm.view(shape),
             by_g.view(*shape, 3),
         )
@@ -156,7 +162,7 @@ def unit_windows(
     at = pixels[:, None] + window.offsets.to(pixels)
     values = atlas.sample(image, level, at.to(atlas.sheet))
     values = values - values.mean(dim=-1, keepdim=True)
-    values = torch.where(atlas.contains(image, level, at)[:, None], values, 0.0)
+    values = torch.where(atlas.contains(image, level, at[:, [0, -1]])[:, None], values, 0.0)
     norm_sq = values.square().sum(dim=-1)
     return values * norm_sq.clamp(min=TINY).rsqrt()[:, None], (norm_sq / values.shape[1]).sqrt()
 
