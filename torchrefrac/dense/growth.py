@@ -74,10 +74,8 @@ class Cells:
         """Empty cells near filled ones, and of these the one whose plane is to be tried: the best of the next. Only
         where it is better or nearer than what was tried before, and nothing is under way."""
         changed, self._changed = torch.cat([self.tries[:0], *self._changed]), []
-        around, inside = self._around(changed)
         near = torch.zeros_like(self.filled)
-        near[around[inside]] = True
-        near[changed] = True
+        near.index_fill_(0, torch.cat((changed, self._around(changed)[0].flatten())), value=True)
         cells = (near & ~self.filled & ~self.busy & (self.tries < TRIES)).nonzero()[:, 0]
         around, inside = self._around(cells)
         offer = torch.where(inside, self.score[around] - self.ring, UNTRIED)

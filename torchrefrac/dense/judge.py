@@ -13,7 +13,7 @@ from torchrefrac.dense.photometric import Agreement, Comparison
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.window import CORNERS, Window
-from torchrefrac.optim.batched import covariance_of
+from torchrefrac.optim.batched import Quadratic, solve_damped
 
 SYSTEMATIC = 0.03  # pixels: what interpolation and poses leave however good the texture is
 
@@ -105,10 +105,12 @@ def _sigma(
     left = 2.0 * (1.0 - score) / freedom
     floor = 2.0 * (options.noise / contrast.clamp(min=options.min_contrast)).square() / samples
     hessian = torch.where(visible[..., None, None], agreement.hessian, 0.0).sum(dim=1).to(score)
-    inverse, exists = covariance_of(hessian)
-    of_distance = inverse[:, 0]
+    first = torch.zeros_like(hessian[:, 0])
+    first[:, 0] = 1.0
+    of_distance = solve_damped(Quadratic(score, -first, hessian), torch.zeros_like(score))  # a column of the inverse
     shared = agreement.change(of_distance.to(agreement.vectors), visible, window).square().sum(dim=-1).to(score)
-    return (0.5 * torch.maximum(left, floor) * (of_distance[:, 0] + shared)).sqrt(), exists
+    variance = 0.5 * torch.maximum(left, floor) * (of_distance[:, 0] + shared)
+    return variance.sqrt(), of_distance[:, 0] > 0.0
 
 
 def _footprint(corners: Float[Tensor, "n 3 3"], sight: Float[Tensor, "n 3"], window: Window) -> Float[Tensor, " n"]:
