@@ -22,7 +22,7 @@ from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.window import Window
 from torchrefrac.optim.batched import Quadratic, solve_damped
 
-TOLERANCE = 5e-3  # of the cost: a step that promises less is the last, and is taken without looking where it leads
+LAST_STEP = 0.12  # pixels in the other images: a step by less is the last, and nobody looks where it leads
 DAMPING = 1e-4
 MIN_SCALE = 0.4  # of an image against the reference: one that shows the surface smaller than this is not compared
 
@@ -107,15 +107,15 @@ class Attempts:
         comparison = comparison.at_matching_levels(seen, self.passes == 0, MIN_SCALE)
         agreement = comparison.agreement(seen)
         tried = comparison.model(agreement)
-        moved = self.step.any(dim=-1) | self.model.cost.isinf()
+        moved = self.step.any(dim=-1) | (self.passes == 0)
         better = (moved & (tried.cost <= self.model.cost)) | self.ending
         states = torch.where(better[:, None], self.states + self.step, self.states)
         model = _chosen(better, tried, self.model)
         damping = torch.where(better, 0.1, 10.0) * self.damping
         step = solve_damped(model, damping)
-        promised = -0.5 * (model.gradient * step).sum(dim=-1)
-        solved = step.any(dim=-1) | ~model.gradient.any(dim=-1)
-        small, exhausted = solved & (promised <= TOLERANCE * model.cost), self.passes >= options.iterations
+        reach = torch.where(agreement.usable, agreement.motion, 0.0).amax(dim=1) * step.abs().amax(dim=1)
+        small = (reach < LAST_STEP) & (step.any(dim=-1) | ~model.gradient.any(dim=-1))
+        exhausted = self.passes >= options.iterations
         last = small | exhausted | self.ending
         taken = ~last | (small & better & ~exhausted & ~self.ending)
         step = torch.where(taken[:, None], step, 0.0)

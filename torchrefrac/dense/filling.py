@@ -11,7 +11,7 @@ from torchrefrac.dense.neighbours import Neighbourhood
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.scope import Scope, scopes
-from torchrefrac.dense.seeds import begin, cover, cover_repeated, matched_seeds, sparse_seeds
+from torchrefrac.dense.seeds import cover, cover_repeated, matched_seeds, settle, sparse_seeds
 from torchrefrac.dense.store import Store
 from torchrefrac.dense.sweeping.sweep import sweep
 from torchrefrac.recorder import Recorder
@@ -57,10 +57,8 @@ def grow_patches(scope: Scope, cells: Cells, known: Patches, options: DenseOptio
     """From seeds outwards (PMVS): first from known patches and sparse points, then from interest points in what is
     left. Cells that show a known patch get none."""
     cover(scope, cells, known, options)
-    yield sparse_seeds(scope, cells, options)
-    yield from grow(scope, cells, options)
-    yield matched_seeds(scope, cells, options)
-    yield from grow(scope, cells, options)
+    yield from grow(scope, cells, options, sparse_seeds(scope, cells, options))
+    yield from grow(scope, cells, options, matched_seeds(scope, cells, options))
 
 
 def sweep_planes(scope: Scope, cells: Cells, known: Patches, options: DenseOptions) -> Iterator[Patches]:
@@ -72,7 +70,7 @@ def sweep_planes(scope: Scope, cells: Cells, known: Patches, options: DenseOptio
     at, planes = at[inside], planes[inside]
     for first in range(0, len(at), STEP):
         rows = slice(first, first + STEP)
-        yield begin(scope, cells, at[rows], planes[rows], options)
+        yield settle(scope, cells, at[rows], planes[rows], options)
     yield from grow(scope, cells, options)
 
 

@@ -95,21 +95,21 @@ class Cells:
         return torch.where(inside, row * self.columns + column, 0), inside
 
 
-def grow(scope: Scope, cells: Cells, options: DenseOptions) -> Iterator[Patches]:
-    """Fill the cells around those that are filled, until nothing more fits. Yields the new patches.
+def grow(scope: Scope, cells: Cells, options: DenseOptions, under_way: Attempts | None = None) -> Iterator[Patches]:
+    """Fill the cells of what is under way and those around filled ones, until nothing more fits. Yields new patches.
 
     Where one cell is filled its neighbours begin at once, beside all that is still under way.
     """
-    nothing = torch.zeros(0, dtype=torch.long, device=scope.device)
-    under_way = attempt(scope, nothing, cells.pixels[nothing], Planes(cells.points, cells.normals)[nothing], options)
+    if under_way is not None:
+        cells.busy[under_way.number] = True
     while True:
         target, source = cells.frontier()
         planes = Planes(cells.points[source], cells.normals[source])
         begun = attempt(scope, target, cells.pixels[target], planes, options)
-        under_way = Attempts.together([under_way, begun])
+        cells.busy[begun.number] = True
+        under_way = begun if under_way is None else Attempts.together([under_way, begun])
         if not len(under_way):
             return
-        cells.busy[begun.number] = True
         under_way, ended = advance(scope, under_way, options)
         cells.busy[ended.number] = False
         cells.fill(ended.good, ended.patches)
