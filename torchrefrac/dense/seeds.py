@@ -66,7 +66,8 @@ def sparse_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Attempts:
 
 def matched_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Attempts:
     """Attempts at patches at interest points of the reference in empty cells, matched along their epipolar curves
-    (PMVS's seeds). Of an interest point's candidates in the best other images, the one on which most images agree best is refined."""
+    (PMVS's seeds). Of an interest point's candidates in the best other images, the one on which most images agree best
+    is taken."""
     ours = _interest_points(scope, 0)
     at, inside = cells.index(ours.pixels)
     rows = (inside & ~cells.filled[at]).nonzero()[:, 0]
