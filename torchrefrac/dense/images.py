@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
@@ -30,12 +31,16 @@ class Images:
         remembered: int = 24,
         where: Callable[[int], Bool[Tensor, "height width"]] | None = None,
     ) -> None:
-        self.capture, self._where = capture, where
+        self.capture, self._remembered, self._where = capture, remembered, where
         self._masks = Masks(capture)
         self.grey = lru_cache(maxsize=remembered)(self._grey)
         self.smaller = lru_cache(maxsize=remembered)(self._smaller)
         self.allowed = lru_cache(maxsize=remembered)(self._allowed)
         self.interest_points = lru_cache(maxsize=None)(self._interest_points)
+
+    def __reduce__(self) -> tuple[type["Images"], tuple[Any, ...]]:
+        """To another process they go without what is remembered."""
+        return Images, (self.capture, self._remembered, self._where)
 
     def size(self, image: int) -> tuple[int, int]:
         """Height and width of an image."""
