@@ -191,3 +191,17 @@ def test_a_grid_without_rows_or_columns_is_refused(lens):
     for size in ((0, 5), (5, 0), (-1, 5)):
         with pytest.raises(ValueError, match=r"height|width"):
             lens.pixel_grid(*size)
+
+
+def test_only_a_distortion_of_zeros_can_be_left_out(draw):
+    xy = draw.uniform(-0.6, 0.6, 30, 2)
+    zero, some = Intrinsics.create(640, 480, 500.0), Intrinsics.create(640, 480, 500.0, distortion=(0, 0, 0, 0.01, 0))
+    wide = Intrinsics.create(640, 480, 500.0, model="fisheye")
+
+    plain = zero.without_idle_distortion()
+
+    assert plain.distortion.shape == (0,)
+    assert torch.equal(plain.pixels_from_plane(xy), zero.pixels_from_plane(xy))
+    assert torch.equal(plain.plane_from_pixels(300.0 * xy), zero.plane_from_pixels(300.0 * xy))
+    assert some.without_idle_distortion() is some
+    assert wide.without_idle_distortion() is wide

@@ -8,7 +8,7 @@ import torch
 
 from tests.camera.camera_scenes import COUNT, INTERFACES, PLACES, at_every_place, for_every_interface, scene
 from tests.tolerances import assert_matches
-from torchrefrac.camera import ProjectionJacobians, RefractiveCamera, projection_parts
+from torchrefrac.camera import ProjectionJacobians, RefractiveCamera, projection_along, projection_parts
 from torchrefrac.camera.jacobians import BLOCKS
 from torchrefrac.geometry import Plane, so3_exp
 from torchrefrac.refraction import FlatInterface, lift_points
@@ -276,6 +276,30 @@ def test_with_the_refrax_ratio_frozen_depth_and_index_have_no_derivative_under_w
     assert frozen["point"][..., 2].abs().amax() < 1e-12 * exact["point"][..., 2].abs().amax()
     on_land, straight = (_parts_of(*above, frozen_ratio=value)[2] for value in (True, False))
     assert all(torch.equal(on_land[block], straight[block]) for block in on_land)
+
+
+@over_water
+def test_a_moving_point_moves_in_the_image_as_its_jacobian_says(draw, view, place):
+    _assert_moves_by_the_jacobian(draw, *view(place))
+
+
+@for_every_interface
+@at_every_place
+def test_it_does_so_behind_every_interface(draw, lens, name, place):
+    _assert_moves_by_the_jacobian(draw, *scene(draw, lens, name, place))
+
+
+def _assert_moves_by_the_jacobian(draw, camera, points):
+    directions = draw.normal(*points.shape)
+    where = (camera.intrinsics, camera.cam_from_world_rotation, camera.center_in_world, points)
+
+    pixel, along, valid = projection_along(*where, directions, camera.interface)
+
+    pixels, jacobians, expected_valid = camera.project_with_jacobians(points)
+    moved = (jacobians.point @ directions[..., None])[..., 0]
+    assert_matches(torch.stack(pixel, dim=-1), pixels)
+    assert_matches(torch.stack(along, dim=-1), moved, slack=SLACK)
+    assert torch.equal(valid, expected_valid)
 
 
 def _parts_of(camera, points, frozen_ratio=False, wanted=BLOCKS):

@@ -11,10 +11,11 @@ from torch import Tensor
 from tests.dense.rendered_scenes import Board, cameras_around, marble, render
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.dense.atlas import Atlas
-from torchrefrac.dense.photometric import WORST, Comparison, patch_costs, unit_windows
+from torchrefrac.dense.photometric import WORST, Agreement, Comparison, patch_costs, unit_windows
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.window import Window
 from torchrefrac.geometry import Plane, so3_exp
+from torchrefrac.optim.batched import Quadratic
 from torchrefrac.refraction import FlatInterface
 
 COUNT, VIEWS, TAU = 12, 3, 0.4
@@ -55,7 +56,7 @@ def _comparison(cameras: RefractiveCamera, atlas: Atlas, pixels: Tensor) -> Comp
     return Comparison(
         atlas=atlas,
         window=WINDOW,
-        cameras=cameras[OTHERS[..., None]],
+        cameras=cameras,
         rays=PixelRays.cast(cameras[0], pixels[:, None] + WINDOW.corners),
         reference=unit_windows(atlas, REFERENCE, level, pixels, WINDOW)[0],
         image=OTHERS,
@@ -63,6 +64,14 @@ def _comparison(cameras: RefractiveCamera, atlas: Atlas, pixels: Tensor) -> Comp
         present=torch.ones_like(OTHERS, dtype=torch.bool),
         tau=TAU,
     )
+
+
+def _agreement(comparison: Comparison, states: Tensor) -> Agreement:
+    return comparison.agreement(comparison.project(states))
+
+
+def _model(comparison: Comparison, states: Tensor) -> Quadratic:
+    return comparison.model(_agreement(comparison, states))
 
 
 def _zncc_by_numpy(cameras, images, pixels, state):
@@ -90,7 +99,7 @@ def test_agreement_is_the_zncc_of_the_windows_as_numpy_samples_them(draw, photog
     cameras, images = photographs[name]
     pixels, states = _patches(draw, cameras, BOARDS[name])
 
-    agreement = _comparison(cameras, Atlas.build(list(images), 1), pixels).agreement(states)
+    agreement = _agreement(_comparison(cameras, Atlas.build(list(images), 1), pixels), states)
 
     expected = [_zncc_by_numpy(cameras, images, pixels[i], states[i]) for i in range(COUNT)]
     assert agreement.usable.all()
@@ -105,7 +114,7 @@ def test_cost_and_gradient_are_those_that_automatic_differentiation_finds(draw, 
     atlas = Atlas.build(list(images), 1)
     states = states.requires_grad_()
 
-    model = _comparison(cameras, atlas, pixels).linearize(states.detach())
+    model = _model(_comparison(cameras, atlas, pixels), states.detach())
     cost = patch_costs(cameras, atlas, REFERENCE, pixels, states, OTHERS, WINDOW, TAU)
 
     (gradient,) = torch.autograd.grad(cost.sum(), states)
@@ -121,10 +130,10 @@ def test_gradients_are_the_differences_of_the_costs(draw, photographs, name):
     pixels, states = _patches(draw, cameras, BOARDS[name])
     comparison = _comparison(cameras, Atlas.build(list(images), 1, mode="bicubic"), pixels)
 
-    gradient = comparison.linearize(states).gradient
+    gradient = _model(comparison, states).gradient
 
     for axis, step in enumerate(1e-5 * torch.eye(3, dtype=torch.float64)):
-        differences = (comparison.linearize(states + step).cost - comparison.linearize(states - step).cost) / 2e-5
+        differences = (_model(comparison, states + step).cost - _model(comparison, states - step).cost) / 2e-5
         torch.testing.assert_close(gradient[:, axis], differences, rtol=1e-6, atol=1e-7)
 
 
@@ -144,7 +153,7 @@ def test_the_hessian_is_the_square_of_the_jacobian_of_the_unit_windows(draw, pho
         return (values / values.norm(dim=-1, keepdim=True)).sum(dim=0)
 
     jacobian = torch.autograd.functional.jacobian(unit, states).movedim(2, 0)
-    agreement, model = comparison.agreement(states), comparison.linearize(states)
+    agreement, model = _agreement(comparison, states), _model(comparison, states)
 
     expected = jacobian.mT @ jacobian
     torch.testing.assert_close(agreement.hessian, expected, rtol=1e-8, atol=1e-10)
@@ -161,7 +170,7 @@ def test_motion_is_how_far_the_patch_moves_in_an_image_when_its_distance_grows(d
     comparison = _comparison(cameras, Atlas.build(list(images), 1), pixels)
     step = torch.tensor((1e-5, 0.0, 0.0), dtype=torch.float64)
 
-    motion = comparison.agreement(states).motion
+    motion = _agreement(comparison, states).motion
 
     before, after = (
         cameras[OTHERS][..., None].project(comparison.corners(at)[:, None])[0].mean(dim=-2)
@@ -240,7 +249,7 @@ def test_gain_and_offset_of_an_image_change_nothing(draw, photographs):
     gain, offset = torch.tensor([0.5, 1.7, 3.0, 0.2]).double(), torch.tensor([50.0, -20.0, 7.0, 100.0]).double()
     other = gain[:, None, None] * images + offset[:, None, None]
 
-    before, after = (_comparison(cameras, Atlas.build(list(i), 1), pixels).linearize(states) for i in (images, other))
+    before, after = (_model(_comparison(cameras, Atlas.build(list(i), 1), pixels), states) for i in (images, other))
     costs = [patch_costs(cameras, list(i), REFERENCE, pixels, states, OTHERS) for i in (images, other)]
 
     for first, second in (*zip(before, after, strict=True), costs):
@@ -272,7 +281,7 @@ def test_an_image_that_does_not_see_a_patch_costs_a_constant(draw, photographs, 
     costs = patch_costs(cameras, atlas, REFERENCE, pixels, states, OTHERS, tau=TAU)
     without = patch_costs(cameras, atlas, REFERENCE, pixels, states, seeing, tau=TAU)
     comparison = _comparison(cameras, atlas, pixels)
-    model = comparison.linearize(states.detach())
+    model = _model(comparison, states.detach())
 
     constant = WORST / (1.0 + WORST / TAU)
     slack = 1e-12 if dtype == torch.float64 else 1e-5
@@ -280,7 +289,7 @@ def test_an_image_that_does_not_see_a_patch_costs_a_constant(draw, photographs, 
     torch.testing.assert_close(model.cost, costs.detach().double(), rtol=0.0, atol=10.0 * slack)
     first, second = (torch.autograd.grad(cost.sum(), states)[0] for cost in (costs, without))
     torch.testing.assert_close(first, second, rtol=0.0, atol=slack)
-    assert comparison.agreement(states.detach()).usable.tolist() == [[True, False, True]] * COUNT
+    assert _agreement(comparison, states.detach()).usable.tolist() == [[True, False, True]] * COUNT
 
 
 def test_an_image_that_is_not_to_be_looked_at_costs_nothing(draw, photographs):
@@ -290,7 +299,7 @@ def test_an_image_that_is_not_to_be_looked_at_costs_nothing(draw, photographs):
     comparison = _comparison(cameras, atlas, pixels)
     present = draw.uniform(0.0, 1.0, COUNT, VIEWS) > 0.4
 
-    model = comparison._replace(present=present).linearize(states)
+    model = _model(comparison._replace(present=present), states)
 
     each = [patch_costs(cameras, atlas, REFERENCE, pixels, states, OTHERS[:, [v]], tau=TAU) for v in range(VIEWS)]
     expected = torch.where(present, torch.stack(each, dim=1), 0.0).sum(dim=1)
@@ -303,7 +312,8 @@ def test_some_of_the_patches_are_compared_as_they_are_among_all(draw, photograph
     comparison = _comparison(cameras, Atlas.build(list(images), 1), pixels)
     rows = torch.tensor([7, 2, 9])
 
-    some, whole = comparison.subset(rows).linearize(states[rows]), comparison.linearize(states)
+    fewer = {name: getattr(comparison, name)[rows] for name in ("rays", "reference", "image", "level", "present")}
+    some, whole = _model(comparison._replace(**fewer), states[rows]), _model(comparison, states)
 
     for part, of in zip(some, whole, strict=True):
         torch.testing.assert_close(part, of[rows], rtol=1e-12, atol=1e-12)
@@ -314,7 +324,7 @@ def test_a_sheet_in_single_precision_gives_the_same_zncc(draw, photographs):
     pixels, states = _patches(draw, cameras, BOARDS["a flat bottom"])
 
     single, double = (
-        _comparison(cameras, Atlas.build(list(i), 1), pixels).agreement(states) for i in (images.float(), images)
+        _agreement(_comparison(cameras, Atlas.build(list(i), 1), pixels), states) for i in (images.float(), images)
     )
 
     torch.testing.assert_close(single.zncc.double(), double.zncc, rtol=0.0, atol=2e-5)
@@ -332,7 +342,7 @@ def test_every_image_is_compared_in_the_copy_that_shows_the_patch_as_large_as_th
     comparison = Comparison(
         atlas=atlas,
         window=WINDOW,
-        cameras=cameras[others[..., None]],
+        cameras=cameras,
         rays=PixelRays.cast(cameras[0], pixels[:, None] + WINDOW.corners),
         reference=torch.zeros(1, WINDOW.size**2),
         image=others,
@@ -343,10 +353,14 @@ def test_every_image_is_compared_in_the_copy_that_shows_the_patch_as_large_as_th
     bottom = comparison.rays.meet(torch.zeros(3).double(), torch.tensor((0.0, 0.0, 1.0)).double())
     states = bottom @ torch.linalg.inv(WINDOW.basis).T
 
-    fitting = comparison.at_matching_levels(states, min_scale=0.4)
+    seen = comparison.project(states)
+    fitting = comparison.at_matching_levels(seen, torch.tensor([True]), min_scale=0.4)
+    old = fitting.at_matching_levels(comparison.project(3.0 * states), torch.tensor([False]), min_scale=0.4)
 
     assert fitting.level.tolist() == [[0, 1, 2, 0, 0]]  # log2 of 1.33, 2.22, 5; larger than the reference's: the first
     assert fitting.present.tolist() == [[True, True, True, True, False]]
+    assert torch.equal(old.level, fitting.level)
+    assert torch.equal(old.present, fitting.present)
 
 
 def test_a_window_is_sampled_with_mean_zero_and_length_one_and_none_across_the_border(photographs):

@@ -51,13 +51,22 @@ def test_places_do_what_the_weights_do(draw, window):
 
 
 @for_every_window
-def test_outer_are_the_weights_of_the_four_outermost_samples(window):
+def test_outer_takes_the_corners_to_the_four_outermost_samples(window):
     reach = window.spacing * (window.size - 1) / 2
 
-    outermost = window.outer @ window.corners
+    outermost = (window.corners.flatten() @ window.outer).view(4, 2)
 
     expected = [(-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)]
     assert_matches(outermost, torch.tensor(expected, dtype=torch.float64))
+
+
+@for_every_window
+def test_the_squared_basis_changes_the_variables_of_a_quadratic_form(draw, window):
+    rows = draw.normal(20, 3)
+
+    in_distances, in_states = (v[:, :, None] * v[:, None, :] for v in (rows, rows @ window.basis))
+
+    assert_matches((in_distances.flatten(1) @ window.squared_basis).view(20, 3, 3), in_states)
 
 
 @for_every_window

@@ -99,7 +99,7 @@ def patches(folder: Path) -> None:
     scope = next(scopes(neighbourhood, Images(capture), options))
     cells = Cells(scope, options.cell)
     start = time.perf_counter()
-    grown = Patches.together([sparse_seeds(scope, cells, options), *grow(scope, cells, options)])
+    grown = Patches.together(list(grow(scope, cells, options, sparse_seeds(scope, cells, options))))
     seconds = time.perf_counter() - start
     tried = int(cells.tries.sum())
     print(f"growth over {capture.names[view]}: {len(grown)} patches of {tried} tried in {seconds:.1f} s, "

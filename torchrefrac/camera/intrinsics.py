@@ -1,7 +1,7 @@
 """Focal length, principal point and distortion of a camera."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import InitVar, dataclass
+from dataclasses import InitVar, dataclass, replace
 from typing import Any
 
 import torch
@@ -126,6 +126,11 @@ class Intrinsics:
     def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "Intrinsics":
         """The same in another dtype or on another device."""
         return self._with_each(lambda value: value.to(dtype=dtype, device=device), lambda mask: mask.to(device=device))
+
+    def without_idle_distortion(self) -> "Intrinsics":
+        """The same where no coefficient of the distortion is other than zero: without them nothing is computed."""
+        idle = self.fisheye is None and not bool(self.distortion.any())
+        return replace(self, distortion=self.distortion[..., :0], check=False) if idle else self
 
     def _with_each(self, change: Callable[[Any], Any], change_mask: Callable[[Any], Any]) -> "Intrinsics":
         return Intrinsics(

@@ -109,6 +109,33 @@ def projection_parts(
     return _differentiate(tensors, interface, (triples.split(first), triples.split(second)), wanted, frozen_ratio)
 
 
+def projection_along(
+    intrinsics: Intrinsics,
+    rotation: Float[Tensor, "*#batch 3 3"],
+    center: Vectors,
+    points: Vectors,
+    directions: Vectors,
+    interface: FlatInterface,
+) -> tuple[tuple[Part, Part], tuple[Part, Part], Mask]:
+    """The pixel's coordinates u and v, how they change as world points move along directions (per unit of these), and
+    validity: what `projection_parts` says of the points times the directions, for less."""
+    tensors, _ = operands(intrinsics, rotation, center, points, interface)
+    view = view_of(tensors, interface)
+    lift = solve_height_with_partials(view.sight, interface.camera_in_rarest)
+    d = triples.split(directions)
+    d = triples.rotated(view.rotation, d) if view.in_camera else d
+    n, u = view.sight.normal, view.sight.horizontal
+    by_q = (1.0 - lift.by_depth) * triples.dot(n, d) + 2.0 * lift.by_distance_sq * triples.dot(u, d)
+    moved = triples.add_scaled(d, by_q, n, sign=-1.0)
+    dx, dy, dz = moved if view.in_camera else triples.rotated(view.rotation, moved)
+    x, y, inverse, ahead = onto_plane(in_camera(view, lift.height))
+    dx, dy = inverse * (dx - x * dz), inverse * (dy - y * dz)
+    slopes = distortion_slopes(x, y, view.distortion, view.fisheye)
+    (fx, fy), (cx, cy) = view.focal, view.principal_point
+    along = (fx * (slopes.du_dx * dx + slopes.mixed * dy), fy * (slopes.mixed * dx + slopes.dv_dy * dy))
+    return (fx * slopes.u + cx, fy * slopes.v + cy), along, is_valid(view.sight, lift.height) & ahead
+
+
 def _differentiate(
     tensors: Sequence[AnyTensor],
     interface: FlatInterface,

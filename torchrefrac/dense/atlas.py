@@ -6,6 +6,7 @@ for patches at a quarter of the speed (tools/bench/dense.py). kornia makes the s
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -38,23 +39,38 @@ class Atlas:
         mode: str = "bilinear",
     ) -> "Atlas":
         """Of m grey parts, which may differ in size, with their corners. Differentiable in the images."""
-        copies = [copy for image in images for copy in pyramid(image, levels)]
+        return cls.of_copies([pyramid(image, levels) for image in images], origin, mode)
+
+    @classmethod
+    def of_copies(
+        cls,
+        pyramids: Sequence[Sequence[Float[Tensor, "_ _"]]],
+        origin: Float[Tensor, "m 2"] | None = None,
+        mode: str = "bilinear",
+    ) -> "Atlas":
+        """Of the `pyramid` of each of m parts, with their corners."""
+        copies = [copy for one in pyramids for copy in one]
         places, height, width = _shelves([(copy.shape[0], copy.shape[1]) for copy in copies])
         sheet = copies[0].new_zeros(height, width)
         for copy, (x, y) in zip(copies, places, strict=True):
             h, w = copy.shape
             padded = torch.nn.functional.pad(copy[None, None], (MARGIN,) * 4, mode="replicate")[0, 0]
             sheet[y : y + h + 2 * MARGIN, x : x + w + 2 * MARGIN] = padded
-        shape, device = (len(images), levels, 2), sheet.device
+        shape, device = (len(pyramids), len(pyramids[0]), 2), sheet.device
         offset = torch.tensor([(x + MARGIN, y + MARGIN) for x, y in places], dtype=torch.float64, device=device)
         size = torch.tensor([(c.shape[1], c.shape[0]) for c in copies], dtype=torch.float64, device=device)
         if origin is None:
-            origin = size.new_zeros(len(images), 2)
+            origin = size.new_zeros(len(pyramids), 2)
         return cls(sheet[None, None], offset.view(shape), origin.to(size), size.view(shape), mode)
 
     @property
     def levels(self) -> int:
         return self.offset.shape[1]
+
+    def to(self, device: torch.device) -> "Atlas":
+        """The same on another device."""
+        tensors = (self.sheet, self.offset, self.origin, self.size)
+        return Atlas(*(tensor.to(device) for tensor in tensors), self.mode)
 
     def copy(self, image: int, level: int = 0) -> Float[Tensor, "h w"]:
         """The copy of an image's part."""
@@ -65,8 +81,14 @@ class Atlas:
         self, image: Int[Tensor, " p"], level: Int[Tensor, " p"], pixels: Float[Tensor, "p k 2"]
     ) -> Bool[Tensor, " p"]:
         """Whether all k pixels of an image lie in its copy `level`, half a pixel from the border."""
-        at = (pixels - self.origin[image].to(pixels)[:, None]) * self._shrink(level, pixels)[:, None]
-        return ((at > 0.5) & (at < self.size[image, level].to(at)[:, None] - 0.5)).flatten(1).all(dim=1)
+        low, high = (bound.to(pixels)[image, level][:, None] for bound in self._inner)
+        return ((pixels > low) & (pixels < high)).flatten(1).all(dim=1)
+
+    @cached_property
+    def _inner(self) -> tuple[Float[Tensor, "m levels 2"], Float[Tensor, "m levels 2"]]:
+        """The least and the greatest pixels of each copy that are half a pixel from its border."""
+        stretch = 2.0 ** torch.arange(self.levels, device=self.size.device).to(self.size)[:, None]
+        return self.origin[:, None] + 0.5 * stretch, self.origin[:, None] + (self.size - 0.5) * stretch
 
     def sample(
         self, image: Int[Tensor, " p"], level: Int[Tensor, " p"], pixels: Float[Tensor, "p k 2"]
@@ -76,24 +98,36 @@ class Atlas:
         Differentiable in the pixels and in the images. Up to half a pixel of the copy beyond its border they are those
         of the border; farther out they mean nothing (see `contains`).
         """
+        grid, _ = self.locate(image, level, pixels)
+        return self._look_up(grid.to(self.sheet.dtype))
+
+    def locate(
+        self, image: Int[Tensor, " p"], level: Int[Tensor, " p"], pixels: Float[Tensor, "p k 2"]
+    ) -> tuple[Float[Tensor, "p k 2"], Float[Tensor, "p 1 2"]]:
+        """Places on the sheet of k pixels of each image, in its copy `level`, and their derivatives in the pixels.
+
+        The sheet reaches from -1 to 1 either way. Places are affine in the pixels: what lies between pixels lies
+        between their places.
+        """
         height, width = self.sheet.shape[-2:]
         scale = pixels.new_tensor((2.0 / width, 2.0 / height))
         shrink = self._shrink(level, pixels)
         shift = (self.offset[image, level].to(pixels) - self.origin[image].to(pixels) * shrink) * scale - 1.0
-        grid = torch.addcmul(shift[:, None], pixels, (shrink * scale)[:, None])
-        return torch.nn.functional.grid_sample(
-            self.sheet, grid[None].to(self.sheet.dtype), mode=self.mode, padding_mode="border", align_corners=False
-        )[0, 0]
+        per_pixel = (shrink * scale)[:, None]
+        return torch.addcmul(shift[:, None], pixels, per_pixel), per_pixel
 
-    def sample_with_slopes(
-        self, image: Int[Tensor, " p"], level: Int[Tensor, " p"], pixels: Float[Tensor, "p k 2"]
-    ) -> tuple[Float[Tensor, "p k"], Float[Tensor, "p k 2"]]:
-        """`sample`, and the derivatives of the values in their pixels; without a graph."""
-        pixels = pixels.detach().requires_grad_()
+    def sample_with_slopes(self, places: Float[Tensor, "p k 2"]) -> tuple[Float[Tensor, "p k"], Float[Tensor, "p k 2"]]:
+        """Grey values at places on the sheet (see `locate`) and their derivatives there; without a graph."""
+        places = places.detach().requires_grad_()
         with torch.enable_grad():
-            values = self.sample(image, level, pixels)
-        slopes = torch.autograd.grad(values, pixels, torch.ones_like(values))[0]
+            values = self._look_up(places)
+        slopes = torch.autograd.grad(values, places, torch.ones_like(values))[0]
         return values.detach(), slopes
+
+    def _look_up(self, places: Float[Tensor, "p k 2"]) -> Float[Tensor, "p k"]:
+        return torch.nn.functional.grid_sample(
+            self.sheet, places[None], mode=self.mode, padding_mode="border", align_corners=False
+        )[0, 0]
 
     def _shrink(self, level: Int[Tensor, " p"], like: Float[Tensor, "..."]) -> Float[Tensor, "p 1"]:
         return (0.5 ** level.to(like))[:, None]

@@ -2,6 +2,7 @@
 that."""
 
 from collections.abc import Iterator
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from torchrefrac.dense.images import Images, photographs
 from torchrefrac.dense.media import PartOfStore, media_of
 from torchrefrac.dense.neighbours import Neighbourhood, find_neighbours
 from torchrefrac.dense.options import DenseOptions
+from torchrefrac.dense.overlap import Finds
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.rays import PixelRays, depth_in
 from torchrefrac.dense.store import NoStore, Store
@@ -39,14 +41,19 @@ class Dense(NamedTuple):
 
 
 def densify(
-    scene: Scene, options: DenseOptions | None = None, recorder: Recorder | None = None, store: Store | None = None
+    scene: Scene,
+    options: DenseOptions | None = None,
+    recorder: Recorder | None = None,
+    store: Store | None = None,
+    executor: Executor | None = None,
 ) -> Dense:
     """Dense points of the surfaces that the registered views show.
 
     The scene must have its points and observations, which say where to look, and its `capture`, the photographs.
     Textureless areas stay empty. What lies outside the water is looked for straight, see `media_of`.
-    Deterministic. Finished views go to `store`. Raises DenseError when no two views can be compared,
-    CaptureError for an image or a mask that is missing or has another size, ValueError for the method none.
+    Deterministic. Finished views go to `store`. An `executor` works on several views at a time, each when those that
+    it has to know of are finished (see `fill_views`), with the same result. Raises DenseError when no two views can be
+    compared, CaptureError for an image or a mask that is missing or has another size, ValueError for the method none.
     """
     options = options or DenseOptions(method="patch")
     if options.method not in METHODS:
@@ -61,7 +68,7 @@ def densify(
     for i, (medium, images, around) in enumerate(zip(media, pictures, neighbourhoods, strict=True)):
         if around:
             own = PartOfStore(store, i * len(scene.views)) if i else store
-            parts[i] = _surface(medium.scene, images, around, options, recorder, own)
+            parts[i] = _surface(medium.scene, images, around, options, recorder, own, executor)
     patches = Patches.together(parts) if len(media) > 1 else parts[0]
     colors = pictures[0].colors(patches.reference, patches.pixels)
     recorder.scalar("dense/points", len(patches), 0)
@@ -85,10 +92,11 @@ def _surface(
     options: DenseOptions,
     recorder: Recorder,
     store: Store,
+    executor: Executor | None,
 ) -> Patches:
     """The patches in one medium that nothing contradicts."""
     cameras = scene.camera_of()
-    patches = fill_views(neighbourhoods, images, options, recorder, store)
+    patches = fill_views(neighbourhoods, images, options, recorder, store, executor)
     with recorder.meter(3, "fusing", "") as advance:
         if options.method == "depthmap":
             only_pairs = max(len(one.ids) for one in neighbourhoods.values()) == 2
@@ -104,10 +112,14 @@ def _surface(
 
 def depth_maps(dense: Dense, scene: Scene, options: DenseOptions) -> Iterator[DepthMap]:
     """What every registered view sees of the surface."""
+    cameras = scene.camera_of()
+    finds, outside = Finds.of(dense.patches, cameras), Finds.of(dense.outside, cameras.as_pinhole())
     for view in scene.views.registered.nonzero()[:, 0].tolist():
-        camera, about = scene.camera_of(view), (scene.views.names[view], options.cell, scene.length_unit)
-        seen = depth_map(dense.patches, camera, *about)
-        yield nearer(seen, depth_map(dense.outside, camera.as_pinhole(), *about)) if len(dense.outside) else seen
+        camera, about = cameras[view], (scene.views.names[view], options.cell, scene.length_unit)
+        seen = depth_map(finds.seen_by(view)[1], camera, *about)
+        if len(dense.outside):
+            seen = nearer(seen, depth_map(outside.seen_by(view)[1], camera.as_pinhole(), *about))
+        yield seen
 
 
 def nearer(first: DepthMap, second: DepthMap) -> DepthMap:

@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
+from torchrefrac.dense.overlap import Finds
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.rays import depth_in
 from torchrefrac.numerics import components
@@ -28,7 +29,7 @@ def fuse(patches: Patches, cameras: RefractiveCamera, cell: int, min_maps: int) 
     The mean is taken along the normal, weighted by 1 / sigma^2; sigma stays that of the better patch, as they share
     photographs.
     """
-    tables = _tables(patches, cameras, cell)
+    tables, sees = _tables(patches, cameras, cell), Finds.of(patches, cameras).sees
     taken = torch.zeros(len(patches), dtype=torch.bool)
     chosen, points, sigma = [], [], []
     for image in range(cameras.shape[0]):
@@ -38,7 +39,7 @@ def fuse(patches: Patches, cameras: RefractiveCamera, cell: int, min_maps: int) 
         best, maps = patches.sigma[rows], torch.ones_like(rows)
         found = []
         for other in range(cameras.shape[0]):
-            if other == image:
+            if other == image or not bool(sees[other, image]):
                 continue
             match, offset, agrees = _found_again(patches, rows, cameras[other], tables[other], cell)
             share = torch.where(agrees, patches.sigma[match].square().reciprocal(), 0.0)
@@ -62,9 +63,9 @@ def _tables(patches: Patches, cameras: RefractiveCamera, cell: int) -> list[Int[
     tables = []
     for image in range(cameras.shape[0]):
         rows = (patches.reference == image).nonzero()[:, 0]
-        table = torch.full((height // cell + 1, width // cell + 1), -1, dtype=torch.long)
+        table = torch.full((height // cell + 1, width // cell + 1), -1, dtype=torch.int32)
         column, row = (patches.pixels[rows] / cell).long().unbind(dim=-1)
-        table[row, column] = rows
+        table[row, column] = rows.int()
         tables.append(table)
     return tables
 
@@ -76,7 +77,7 @@ def _found_again(
     are the same surface."""
     pixels, valid = camera.project(patches.points[rows], inside_image=True)
     column, row = (pixels / cell).long().unbind(dim=-1)
-    match = table[row.clamp(0, table.shape[0] - 1), column.clamp(0, table.shape[1] - 1)]
+    match = table[row.clamp(0, table.shape[0] - 1), column.clamp(0, table.shape[1] - 1)].long()
     valid = valid & (match >= 0)
     match = match.clamp(min=0)
     apart = patches.points[match] - patches.points[rows]
@@ -129,24 +130,26 @@ def unobstructing(patches: Patches, cameras: RefractiveCamera, cell: int) -> Boo
     """
     against = torch.zeros_like(patches.score)
     favour = patches.score * patches.views
+    finds = Finds.of(patches, cameras)
     for view in range(cameras.shape[0]):
-        seen = patches.seen_by(view)
+        near, some = finds.seen_by(view)
+        seen = some.seen_by(view)
         if not bool(seen.any()):
             continue
         camera = cameras[view]
-        pixels, valid = camera.project(patches.points, inside_image=True)
+        pixels, valid = camera.project(some.points, inside_image=True)
         rows = valid.nonzero()[:, 0]
         columns = camera.intrinsics.width // cell + 1
         at = (pixels[rows] / cell).long()
-        depth = depth_in(camera, patches.points[rows])
+        depth = depth_in(camera, some.points[rows])
         beyond, same = votes(
             at[:, 1] * columns + at[:, 0],
             depth,
-            THICKNESS * patches.footprint[rows],
-            torch.where(seen[rows], patches.score[rows], 0.0),
+            THICKNESS * some.footprint[rows],
+            torch.where(seen[rows], some.score[rows], 0.0),
         )
-        against[rows] += beyond
-        favour[rows] += same
+        against[near[rows]] += beyond
+        favour[near[rows]] += same
     return against <= favour
 
 

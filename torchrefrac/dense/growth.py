@@ -1,6 +1,6 @@
 """Patches that grow over their reference image: from cell to neighbouring cell, all at once (PMVS's expansion).
 
-A cell beside one that has a patch supposes that patch's plane to go on. Every wave takes all such cells of the image.
+A cell beside one that has a patch supposes that patch's plane to go on.
 """
 
 from collections.abc import Iterator
@@ -9,13 +9,14 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchrefrac.dense.attempts import Attempts
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches, Planes
-from torchrefrac.dense.refine import refine
+from torchrefrac.dense.refine import advance, attempt
 from torchrefrac.dense.scope import Scope
 
 TRIES = 3
-RINGS = 2  # cells by which growth may step at once; a wave costs about the same, however many cells it has
+RINGS = 2  # cells by which growth may step at once
 UNTRIED = -float(RINGS)  # below what any neighbour offers
 
 
@@ -36,6 +37,9 @@ class Cells:
         self.normals = torch.zeros(count, 3, dtype=torch.float64, device=device)
         self.tries = torch.zeros(count, dtype=torch.long, device=device)
         self.tried = self.score.clone()  # what the best plane that has failed here was worth
+        self.busy = torch.zeros_like(self.filled)  # where a plane is being tried
+        self._changed: list[Int[Tensor, " k"]] = []
+        self.steps, self.ring = _steps(device)
 
     def index(self, pixels: Float[Tensor, "n 2"]) -> tuple[Int[Tensor, " n"], Bool[Tensor, " n"]]:
         """Cells that pixels lie in, and which lie in one."""
@@ -55,6 +59,11 @@ class Cells:
         at = cells[rows]
         self.points[at], self.normals[at] = patches.points[rows], patches.normals[rows]
         self.score[at], self.filled[at] = score[rows], True
+        self._changed.append(at)
+
+    def reconsider(self, cells: Int[Tensor, " k"]) -> None:
+        """Where nothing is under way any more, what neighbours have to offer meanwhile counts."""
+        self._changed.append(cells)
 
     def filled_since(self) -> int:
         """How many have been filled since this was last asked."""
@@ -63,27 +72,55 @@ class Cells:
 
     def frontier(self) -> tuple[Int[Tensor, " k"], Int[Tensor, " k"]]:
         """Empty cells near filled ones, and of these the one whose plane is to be tried: the best of the next. Only
-        where it is better or nearer than what was tried before."""
-        score = self.score.view(1, 1, self.rows, self.columns)
-        best, source = torch.full_like(self.score, UNTRIED), torch.zeros_like(self.tries)
-        for ring in range(RINGS):
-            found, at = torch.nn.functional.max_pool2d(score, 2 * ring + 3, 1, ring + 1, return_indices=True)
-            offer = found.flatten() - ring  # a nearer plane is worth more than any farther one
-            better = offer > best
-            best, source = torch.where(better, offer, best), torch.where(better, at.flatten(), source)
-        cells = (~self.filled & (best > self.tried) & (self.tries < TRIES)).nonzero()[:, 0]
+        where it is better or nearer than what was tried before, and nothing is under way."""
+        changed, self._changed = torch.cat([self.tries[:0], *self._changed]), []
+        near = torch.zeros_like(self.filled)
+        near.index_fill_(0, torch.cat((changed, self._around(changed)[0].flatten())), value=True)
+        cells = (near & ~self.filled & ~self.busy & (self.tries < TRIES)).nonzero()[:, 0]
+        around, inside = self._around(cells)
+        offer = torch.where(inside, self.score[around] - self.ring, UNTRIED)
+        best, which = offer.max(dim=1)
+        better = (best > self.tried[cells]).nonzero()[:, 0]
+        cells = cells[better]
         self.tries[cells] += 1
-        self.tried[cells] = best[cells]
-        return cells, source[cells]
+        self.tried[cells] = best[better]
+        return cells, around[better, which[better]]
+
+    def _around(self, cells: Int[Tensor, " n"]) -> tuple[Int[Tensor, "n around"], Bool[Tensor, "n around"]]:
+        """The cells within `RINGS` of each, nearer ones first, and which of them lie in the tile; others count as the
+        first cell."""
+        row = (cells // self.columns)[:, None] + self.steps[:, 0]
+        column = (cells % self.columns)[:, None] + self.steps[:, 1]
+        inside = (row >= 0) & (row < self.rows) & (column >= 0) & (column < self.columns)
+        return torch.where(inside, row * self.columns + column, 0), inside
 
 
-def grow(scope: Scope, cells: Cells, options: DenseOptions) -> Iterator[Patches]:
-    """Fill the cells around those that are filled, wave after wave, until nothing more fits. Yields the new patches."""
+def grow(scope: Scope, cells: Cells, options: DenseOptions, under_way: Attempts | None = None) -> Iterator[Patches]:
+    """Fill the cells of what is under way and those around filled ones, until nothing more fits. Yields new patches.
+
+    Where one cell is filled its neighbours begin at once, beside all that is still under way.
+    """
+    if under_way is not None:
+        cells.busy[under_way.number] = True
     while True:
         target, source = cells.frontier()
-        if not len(target):
-            return
         planes = Planes(cells.points[source], cells.normals[source])
-        patches, good = refine(scope, cells.pixels[target], planes, options)
-        cells.fill(target[good], patches)
-        yield patches
+        begun = attempt(scope, target, cells.pixels[target], planes, options)
+        cells.busy[begun.number] = True
+        under_way = begun if under_way is None else Attempts.together([under_way, begun])
+        if not len(under_way):
+            return
+        under_way, ended = advance(scope, under_way, options)
+        cells.busy[ended.number] = False
+        cells.fill(ended.good, ended.patches)
+        cells.reconsider(ended.number)
+        yield ended.patches
+
+
+def _steps(device: torch.device) -> tuple[Int[Tensor, "around 2"], Int[Tensor, " around"]]:
+    """Rows and columns from a cell to those within `RINGS`, nearer ones first, and how many rings lie between."""
+    reach = torch.arange(-RINGS, RINGS + 1, device=device)
+    steps = torch.cartesian_prod(reach, reach)
+    ring = steps.abs().amax(dim=1)
+    order = ring.argsort(stable=True)[1:]
+    return steps[order], ring[order] - 1

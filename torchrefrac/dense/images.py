@@ -3,11 +3,13 @@
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
+from torchrefrac.dense.atlas import pyramid
 from torchrefrac.dense.matching.interest_points import InterestPoints, detect_interest_points
 from torchrefrac.files.masks import Masks
 from torchrefrac.files.photographs import read_color, read_grey
@@ -19,7 +21,8 @@ PART, BESIDE = 2048, 32  # pixels across of what is searched for interest points
 class Images:
     """Grey and coloured pixels as 8-bit tensors, and which of them may be used (`Masks`).
 
-    Of the grey images the last few are remembered. where: of each image, which pixels are meant at all; by default all.
+    Of the grey images, and of their smaller copies, the last few are remembered. where: of each image, which pixels are
+    meant at all; by default all.
     """
 
     def __init__(
@@ -28,11 +31,16 @@ class Images:
         remembered: int = 24,
         where: Callable[[int], Bool[Tensor, "height width"]] | None = None,
     ) -> None:
-        self.capture, self._where = capture, where
+        self.capture, self._remembered, self._where = capture, remembered, where
         self._masks = Masks(capture)
         self.grey = lru_cache(maxsize=remembered)(self._grey)
+        self.smaller = lru_cache(maxsize=remembered)(self._smaller)
         self.allowed = lru_cache(maxsize=remembered)(self._allowed)
         self.interest_points = lru_cache(maxsize=None)(self._interest_points)
+
+    def __reduce__(self) -> tuple[type["Images"], tuple[Any, ...]]:
+        """To another process they go without what is remembered."""
+        return Images, (self.capture, self._remembered, self._where)
 
     def size(self, image: int) -> tuple[int, int]:
         """Height and width of an image."""
@@ -63,6 +71,13 @@ class Images:
         if not path.is_file():
             raise CaptureError(f"{path} does not exist any more, but the reconstruction has its pose; put it back")
         return self._sized(torch.from_numpy(read_grey(path)), path, self.size(image))
+
+    def copies(self, image: int, levels: int) -> list[Float[Tensor, "_ _"]]:
+        """The grey image and its smaller copies, `levels` together, as a `pyramid`."""
+        return [self.grey(image).float(), *self.smaller(image, levels)]
+
+    def _smaller(self, image: int, levels: int) -> list[Float[Tensor, "_ _"]]:
+        return pyramid(self.grey(image).float(), levels)[1:]
 
     def _interest_points(self, image: int) -> InterestPoints:
         """One corner and one blob at most in every block of an image, found part by part."""

@@ -8,41 +8,38 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.dense.options import DenseOptions
-from torchrefrac.dense.patches import Patches, Planes
+from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.photometric import Agreement, Comparison
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.window import CORNERS, Window
-from torchrefrac.optim.batched import covariance_of
+from torchrefrac.optim.batched import Quadratic, solve_damped
 
 SYSTEMATIC = 0.03  # pixels: what interpolation and poses leave however good the texture is
 
 
 class Subjects(NamedTuple):
-    """What is known of n patches before they are adjusted.
-
-    pixels in the reference; rays (n) through them; planes (n); reference: unit vectors of their windows; contrast of
-    these, in grey levels; image: local images to compare with, and which of them will do: present.
-    """
+    """What is known of n patches before they are adjusted: pixels in the reference, the rays (n) through them, and the
+    contrast of their windows, in grey levels."""
 
     pixels: Float[Tensor, "n 2"]
     rays: PixelRays
-    planes: Planes
-    reference: Float[Tensor, "n samples"]
     contrast: Float[Tensor, " n"]
-    image: Int[Tensor, "n v"]
-    present: Bool[Tensor, "n v"]
 
 
 def judge(
-    scope: Scope, subjects: Subjects, comparison: Comparison, states: Float[Tensor, "n 3"], options: DenseOptions
+    scope: Scope,
+    subjects: Subjects,
+    comparison: Comparison,
+    agreement: Agreement,
+    states: Float[Tensor, "n 3"],
+    options: DenseOptions,
 ) -> tuple[Patches, Int[Tensor, " k"]]:
-    """Of n patches at `states`, those to be believed and their numbers.
+    """Of n patches at `states`, those to be believed and their numbers, as they agree there or very near.
 
     Enough images must agree, the patch must face the camera, lie between near and far, and be determined: sigma times
     the motion in the other images stays below `max_sigma` pixels.
     """
-    agreement = comparison.agreement(states, with_rows=True)
     visible = agreement.usable & (agreement.zncc >= options.min_score)
     count = visible.sum(dim=1)
     score = (torch.where(visible, agreement.zncc, 0.0).sum(dim=1) / count.clamp(min=1)).to(states)
@@ -107,13 +104,13 @@ def _sigma(
     freedom = samples - 2 - CORNERS / visible.sum(dim=1).clamp(min=1)
     left = 2.0 * (1.0 - score) / freedom
     floor = 2.0 * (options.noise / contrast.clamp(min=options.min_contrast)).square() / samples
-    assert agreement.rows is not None
     hessian = torch.where(visible[..., None, None], agreement.hessian, 0.0).sum(dim=1).to(score)
-    together = torch.where(visible[..., None, None], agreement.rows, 0.0).sum(dim=1).to(score)
-    inverse, exists = covariance_of(hessian)
-    of_distance = inverse[:, :1]
-    shared = (of_distance @ together).square().sum(dim=(1, 2))
-    return (0.5 * torch.maximum(left, floor) * (of_distance[:, 0, 0] + shared)).sqrt(), exists
+    first = torch.zeros_like(hessian[:, 0])
+    first[:, 0] = 1.0
+    of_distance = solve_damped(Quadratic(score, -first, hessian), torch.zeros_like(score))  # a column of the inverse
+    shared = agreement.change(of_distance.to(agreement.vectors), visible, window).square().sum(dim=-1).to(score)
+    variance = 0.5 * torch.maximum(left, floor) * (of_distance[:, 0] + shared)
+    return variance.sqrt(), of_distance[:, 0] > 0.0
 
 
 def _footprint(corners: Float[Tensor, "n 3 3"], sight: Float[Tensor, "n 3"], window: Window) -> Float[Tensor, " n"]:

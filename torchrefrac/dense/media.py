@@ -3,7 +3,6 @@ with cameras that look through water, or straight."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import torch
 from jaxtyping import Bool
@@ -18,6 +17,22 @@ from torchrefrac.scene import Interfaces, Scene
 BLOCK = 4  # pixels across of what is looked up at once
 
 Where = Callable[[int], Bool[Tensor, "height width"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """Which pixels of an image of the scene look past the water, or which do not.
+
+    below: points below its level; outside: those that lie outside the water.
+    """
+
+    scene: Scene
+    below: Bool[Tensor, " n"]
+    outside: Bool[Tensor, " n"]
+    past_water: bool
+
+    def __call__(self, image: int) -> Bool[Tensor, "height width"]:
+        return _past_water(self.scene, image, self.below, self.outside) == self.past_water
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +53,10 @@ def media_of(scene: Scene) -> list[Medium]:
     if not bool(outside.any()):
         return [Medium(scene)]
     below = scene.placed & ~scene.above_water()
-    past_water = lru_cache(maxsize=24)(lambda image: _past_water(scene, image, below, outside))
     straight = replace(_of_points(scene, ~(below & ~outside)), interfaces=Interfaces.level(1.0))
     return [
-        Medium(_of_points(scene, ~outside), lambda image: ~past_water(image)),
-        Medium(straight, past_water),
+        Medium(_of_points(scene, ~outside), Side(scene, below, outside, past_water=False)),
+        Medium(straight, Side(scene, below, outside, past_water=True)),
     ]
 
 

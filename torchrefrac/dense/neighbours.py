@@ -1,6 +1,6 @@
 """Which views to compare with which, and between which distances to look, as the sparse points say."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -38,6 +38,7 @@ def find_neighbours(scene: Scene, options: DenseOptions) -> dict[int, Neighbourh
     A view's worth to another is the sum over common points of how near the angle between their rays is to the best.
     """
     cameras, seen, center = scene.camera_of(), scene.observations, scene.views.center
+    cameras = replace(cameras, intrinsics=cameras.intrinsics.without_idle_distortion(), check=False)
     shared = torch.zeros(len(scene.points), len(scene.views), dtype=torch.bool)
     shared[seen.point, seen.view] = True
     found: dict[int, Neighbourhood] = {}

@@ -79,7 +79,7 @@ class DenseOptions:
     max_sigma: float = 0.5
     loss_scale: float = 0.3
     levels: int = 3
-    iterations: int = 8
+    iterations: int = 6
     batch: int = 2048
     max_tile: int = 2048
     device: str = AUTO

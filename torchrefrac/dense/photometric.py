@@ -7,7 +7,8 @@ vectors f^ and g^ (mean removed, norm 1),
     c_v = 1 - ZNCC(f, g_v) = |f^ - g^_v|^2 / 2,        cost = sum_v rho(c_v),   rho(c) = c / (1 + c / tau),
 
 a sum of squares. With B = dg/ds (mean removed) and n = |g|, the derivative of f^ - g^ is -(B - g^ g^T B) / n: all that
-the normal equations need are inner products of the five vectors B1, B2, B3, g, f.
+the normal equations need are inner products of the five vectors B1, B2, B3, g, f. f^ and g have no mean, so that of B
+matters in the products of B alone.
 """
 
 from collections.abc import Sequence
@@ -29,21 +30,43 @@ TINY = 1e-6  # squared norm of a window without any texture
 
 class Agreement(NamedTuple):
     """ZNCC, and where it is usable; gradient and Hessian of c = 1 - ZNCC; motion: pixels by which the patch moves in
-    the image per unit of its distance; rows, where asked for: derivatives of g^, each state's."""
+    the image per unit of its distance; for `change`, vectors: B1, B2, B3 and g, per_norm: 1 / n, and by_g: g^T B / n^2
+    in states."""
 
     zncc: Float[Tensor, "n v"]
     usable: Bool[Tensor, "n v"]
     motion: Float[Tensor, "n v"]
     gradient: Float[Tensor, "n v 3"]
     hessian: Float[Tensor, "n v 3 3"]
-    rows: Float[Tensor, "n v 3 samples"] | None
+    vectors: Float[Tensor, "n v 4 samples"]
+    per_norm: Float[Tensor, "n v"]
+    by_g: Float[Tensor, "n v 3"]
+
+    def change(
+        self, step: Float[Tensor, "n 3"], images: Bool[Tensor, "n v"], window: Window
+    ) -> Float[Tensor, "n samples"]:
+        """How the sum of g^ over some images changes as the states do by a step."""
+        of_corners = (step @ window.basis.T.to(step))[:, None].expand(*images.shape, 3)
+        of_g = -(self.by_g @ step[..., None])
+        parts = torch.cat((of_corners, of_g), dim=-1) * (self.per_norm * images)[..., None]
+        total = (parts.flatten(1)[:, None] @ self.vectors.flatten(1, 2))[:, 0]
+        return total - total.mean(dim=-1, keepdim=True)
+
+
+class Seen(NamedTuple):
+    """Pixels of the corners of n patches in each image, their derivatives in the corners' own distances, and which
+    patches are seen."""
+
+    pixels: Float[Tensor, "n v 3 2"]
+    along: Float[Tensor, "n v 3 2"]
+    valid: Bool[Tensor, "n v"]
 
 
 class Comparison(NamedTuple):
     """What n patches are compared with; nothing here changes while they are refined.
 
-    rays (n, 3): those of the window's three corners; reference: unit vectors f^; image, level: other images of the
-    atlas, and which of their copies; cameras (n, v, 1): theirs; present: which of these are to be looked at.
+    cameras (m): of all images of the atlas; rays (n, 3): those of the window's three corners; reference: unit vectors
+    f^; image, level: other images of the atlas, and which of their copies; present: which of these are to be looked at.
     """
 
     atlas: Atlas
@@ -56,80 +79,79 @@ class Comparison(NamedTuple):
     present: Bool[Tensor, "n v"]
     tau: float
 
-    def subset(self, rows: Int[Tensor, " k"]) -> "Comparison":
-        """Some of the patches."""
-        of_patches = ("cameras", "rays", "reference", "image", "level", "present")
-        return self._replace(**{name: getattr(self, name)[rows] for name in of_patches})
-
     def corners(self, states: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
         """The three corners of each patch in the world."""
         return self.rays.at(states @ self.window.basis.to(states).T)
 
-    def at_matching_levels(self, states: Float[Tensor, "n 3"], min_scale: float) -> "Comparison":
-        """With the copies of the other images that show the patches about as large as the reference does. An image that
-        shows one at less than `min_scale` of the reference's size is no longer present."""
-        pixels, _, _ = self._project(states)
-        scale = (_area(pixels).abs() / _area(self.window.corners).to(pixels)).sqrt()
+    def at_matching_levels(self, seen: Seen, fresh: Bool[Tensor, " n"], min_scale: float) -> "Comparison":
+        """For the `fresh` patches with the copies of the other images that show them about as large as the reference
+        does. An image that shows one at less than `min_scale` of the reference's size is no longer present."""
+        scale = (_area(seen.pixels).abs() / _area(self.window.corners).to(seen.pixels)).sqrt()
         level = torch.log2(scale.clamp(min=1.0)).round().long().clamp(max=self.atlas.levels - 1)
-        return self._replace(level=level, present=self.present & (scale >= min_scale))
+        changes = fresh[:, None]
+        return self._replace(
+            level=torch.where(changes, level, self.level), present=self.present & (~changes | (scale >= min_scale))
+        )
 
-    def linearize(self, states: Float[Tensor, "n 3"]) -> Quadratic:
-        """Costs, gradients and Gauss-Newton Hessians at states: distance and two slopes."""
-        agreement = self.agreement(states)
+    def model(self, agreement: Agreement) -> Quadratic:
+        """Costs, gradients and Gauss-Newton Hessians in distance and two slopes."""
         bad = 1.0 - agreement.zncc
         share = 1.0 / (1.0 + bad / self.tau)
         weight = torch.where(agreement.usable, share.square(), 0.0)
         cost = torch.where(agreement.usable, bad * share, WORST / (1.0 + WORST / self.tau))
+        like = self.rays.origin
         return Quadratic(
-            torch.where(self.present, cost, 0.0).sum(dim=1).to(states),
-            (weight[..., None] * agreement.gradient).sum(dim=1).to(states),
-            (weight[..., None, None] * agreement.hessian).sum(dim=1).to(states),
+            torch.where(self.present, cost, 0.0).sum(dim=1).to(like),
+            (weight[..., None] * agreement.gradient).sum(dim=1).to(like),
+            (weight[..., None, None] * agreement.hessian).sum(dim=1).to(like),
         )
 
-    def agreement(self, states: Float[Tensor, "n 3"], with_rows: bool = False) -> Agreement:
-        """ZNCC of the patches at states in each image and its derivatives, exact for the sampled images."""
-        shape = self.image.shape
+    def agreement(self, seen: Seen) -> Agreement:
+        """ZNCC of patches in each image, where these see them, and its derivatives, exact for the sampled images."""
+        shape, (pixels, along, valid) = self.image.shape, seen
         image, level = self.image.flatten(), self.level.flatten()
-        basis, weights = self.window.basis.to(states), self.window.weights.to(self.reference)
-        pixels, along, valid = self._project(states)
-        at, along = pixels.to(weights).flatten(0, 1), along.flatten(0, 1)
-        places = (at.flatten(1) @ self.window.places.to(weights)).unflatten(1, (-1, 2))
-        values, slopes = self.atlas.sample_with_slopes(image, level, places)
-        vectors = weights.new_empty(len(image), 5, weights.shape[0])
-        torch.mul(along.to(weights) @ slopes.mT, weights.T, out=vectors[:, :3])
-        vectors[:, 3] = values
-        vectors[:, 4] = self.reference.repeat_interleave(shape[1], dim=0)
-        vectors -= vectors.mean(dim=-1, keepdim=True)
-        gram = vectors @ vectors.mT
+        window, like = self.window, self.reference
+        basis, weights = window.basis.to(like), window.weights.T.to(like)
+        at, along = pixels.to(like).flatten(0, 1), along.to(like).flatten(0, 1)
+        corners, per_pixel = self.atlas.locate(image, level, at)
+        places = (corners.flatten(1) @ window.places.to(like)).unflatten(1, (-1, 2))
+        values, slopes = self.atlas.sample_with_slopes(places)
+        across, down = slopes.mT.contiguous().split(1, dim=1)
+        on_sheet = along * per_pixel
+        vectors = like.new_empty(*shape, 4, weights.shape[1])
+        moving, g = vectors.flatten(0, 1)[:, :3], vectors.flatten(0, 1)[:, 3]
+        torch.mul(on_sheet[..., :1], across, out=moving)
+        moving.addcmul_(on_sheet[..., 1:], down).mul_(weights)
+        torch.sub(values, values.mean(dim=-1, keepdim=True), out=g)
+        by_f = (vectors.flatten(1, 2) @ self.reference[..., None]).view(-1, 4)
+        gram = vectors.flatten(0, 1) @ vectors.flatten(0, 1).mT
+        sums = moving.sum(dim=-1)
+        squares = gram[:, :3, :3].addcmul(sums[:, :, None], sums[:, None], value=-1.0 / weights.shape[1])
         norm_sq = gram[:, 3, 3]
-        usable = valid.flatten() & (norm_sq > TINY) & self.atlas.contains(image, level, self.window.outer.to(at) @ at)
+        inside = self.atlas.contains(image, level, (at.flatten(1) @ window.outer.to(like)).unflatten(1, (-1, 2)))
+        usable = valid.flatten() & (norm_sq > TINY) & inside
         per_norm = norm_sq.clamp(min=TINY).rsqrt()[:, None]
-        to_state = basis.to(weights).T
-        by_f = (gram[:, :3, 4] @ to_state.T) * per_norm
-        by_g = (gram[:, :3, 3] @ to_state.T) * per_norm.square()
-        squares = (to_state @ gram[:, :3, :3] @ to_state.T) * per_norm.square()[..., None]
-        zncc = gram[:, 3, 4] * per_norm[:, 0]
-        rows = None
-        if with_rows:
-            by_values = to_state @ vectors[:, :3] - by_g[:, :, None] * vectors[:, 3:4]
-            rows = (by_values * per_norm[..., None]).view(*shape, 3, weights.shape[0])
+        zncc = by_f[:, 3:] * per_norm
+        by_g = (gram[:, :3, 3] @ basis) * per_norm.square()
+        hessian = squares.flatten(1) @ window.squared_basis.to(like) * per_norm.square()
+        hessian = hessian.view(-1, 3, 3) - by_g[:, :, None] * by_g[:, None, :]
         return Agreement(
             zncc.view(shape),
             usable.view(shape) & self.present,
             along.mean(dim=1).norm(dim=-1).view(shape),
-            (by_g * zncc[:, None] - by_f).view(*shape, 3),
-            (squares - by_g[:, :, None] * by_g[:, None, :]).view(*shape, 3, 3),
-            rows,
+            (by_g * zncc - by_f[:, :3] @ basis * per_norm).view(*shape, 3),
+            hessian.view(*shape, 3, 3),
+            vectors,
+            per_norm.view(shape),
+            by_g.view(*shape, 3),
         )
 
-    def _project(
-        self, states: Float[Tensor, "n 3"]
-    ) -> tuple[Float[Tensor, "n v 3 2"], Float[Tensor, "n v 3 2"], Bool[Tensor, "n v"]]:
-        """Pixels of the corners in each image, their derivatives in their own distances, and which patches are seen."""
+    def project(self, states: Float[Tensor, "n 3"]) -> Seen:
+        """Where each image sees the corners of the patches at states."""
         distances = states @ self.window.basis.to(states).T
         points, direction = self.rays.at(distances)[:, None], self.rays.direction_at(distances)[:, None]
-        pixels, along, valid = project_moving(self.cameras, points, direction)
-        return pixels, along, valid.all(dim=-1)
+        pixels, along, valid = project_moving(self.cameras[self.image[..., None]], points, direction)
+        return Seen(pixels, along, valid.all(dim=-1))
 
 
 def unit_windows(
@@ -140,7 +162,7 @@ def unit_windows(
     at = pixels[:, None] + window.offsets.to(pixels)
     values = atlas.sample(image, level, at.to(atlas.sheet))
     values = values - values.mean(dim=-1, keepdim=True)
-    values = torch.where(atlas.contains(image, level, at)[:, None], values, 0.0)
+    values = torch.where(atlas.contains(image, level, at[:, [0, -1]])[:, None], values, 0.0)
     norm_sq = values.square().sum(dim=-1)
     return values * norm_sq.clamp(min=TINY).rsqrt()[:, None], (norm_sq / values.shape[1]).sqrt()
 

@@ -1,12 +1,13 @@
 """What a pixel looks along: a ray that is bent at the water, and may end before or after it."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchrefrac.camera import RefractiveCamera, projection_parts
+from torchrefrac.camera import RefractiveCamera, projection_along
 
 
 class PixelRays(NamedTuple):
@@ -63,18 +64,22 @@ class PixelRays(NamedTuple):
         entry = origin if self.entry is self.origin else self.entry[index]
         return PixelRays(entry, origin, self.before[index], self.after[index])
 
+    @classmethod
+    def together(cls, parts: Sequence["PixelRays"]) -> "PixelRays":
+        """Several, one after the other."""
+        entry, origin, before, after = (torch.cat(vectors) for vectors in zip(*parts, strict=True))
+        return cls(origin if all(part.entry is part.origin for part in parts) else entry, origin, before, after)
+
 
 def project_moving(
     camera: RefractiveCamera, points: Float[Tensor, "*#batch 3"], direction: Float[Tensor, "*#batch 3"]
 ) -> tuple[Float[Tensor, "*seen 2"], Float[Tensor, "*seen 2"], Bool[Tensor, "*seen"]]:
     """Pixels of points, their derivatives as the points move along `direction`, and which the camera sees. In closed
     form, for cameras that broadcast against the points."""
-    (u, v), valid, by = projection_parts(
-        camera.intrinsics, camera.cam_from_world_rotation, camera.center_in_world, points, camera.interface, ("point",)
+    pixel, along, valid = projection_along(
+        camera.intrinsics, camera.cam_from_world_rotation, camera.center_in_world, points, direction, camera.interface
     )
-    dx, dy, dz = direction.unbind(dim=-1)
-    along = torch.stack([row[0] * dx + row[1] * dy + row[2] * dz for row in by["point"]], dim=-1)
-    return torch.stack((u, v), dim=-1), along, valid
+    return torch.stack(pixel, dim=-1), torch.stack(along, dim=-1), valid
 
 
 def depth_in(camera: RefractiveCamera, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:

@@ -1,23 +1,21 @@
-"""From a guess to a patch: which images to compare with, and the photometric adjustment."""
+"""From a guess to a patch: which images to compare with, and the photometric adjustment of many together."""
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.dense.judge import Subjects, fewest_others, judge
+from torchrefrac.dense.attempts import Attempts, Ended
+from torchrefrac.dense.judge import Subjects, fewest_others
 from torchrefrac.dense.neighbours import angle_between, fitness
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches, Planes
-from torchrefrac.dense.photometric import Comparison, unit_windows
+from torchrefrac.dense.photometric import unit_windows
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.window import Window
-from torchrefrac.optim.batched import minimize_each
 from torchrefrac.parallel import side_by_side
 
-TOLERANCE = 1e-3  # of the cost: an adjustment ends within a fifth of a standard deviation
 SIDE_BY_SIDE, FEWEST = 4, 1024  # batches, and patches in one of these
-MIN_SCALE = 0.4  # of an image against the reference: one that shows the surface smaller than this is not compared
 
 
 def refine(
@@ -26,18 +24,54 @@ def refine(
     """Adjust patches centred at reference pixels from `planes` (n), in batches. Returns those that are to be believed
     and which of the n they are. Guesses may be off by a pixel or two."""
 
-    def adjusted(rows: slice) -> tuple[Patches, Int[Tensor, " b"]]:
-        subjects, chosen = _choose(scope, pixels[rows], planes[rows], options)
-        comparison, states = _adjust(scope, subjects, options)
-        patches, good = judge(scope, subjects, comparison, states, options)
-        return patches, chosen[good] + rows.start
+    def adjusted(rows: slice) -> list[Ended]:
+        number = torch.arange(rows.start, rows.stop, device=scope.device)
+        attempts, parts = attempt(scope, number, pixels[rows], planes[rows], options), []
+        while len(attempts):
+            attempts, ended = attempts.advance(scope, options)
+            parts.append(ended)
+        return parts
 
-    results = side_by_side(adjusted, _batches(len(pixels), options.batch), scope.device)
+    ended = [one for some in side_by_side(adjusted, _batches(len(pixels), options), scope.device) for one in some]
     nothing = Patches.empty(min(options.views, scope.others), scope.device)
-    return (
-        Patches.together([nothing, *(patches for patches, _ in results)]),
-        torch.cat([nothing.reference, *(rows for _, rows in results)]),
-    )
+    patches = Patches.together([nothing, *(one.patches for one in ended)])
+    good = torch.cat([nothing.reference, *(one.good for one in ended)])
+    order = good.argsort()
+    return patches[order], good[order]
+
+
+def advance(scope: Scope, attempts: Attempts, options: DenseOptions) -> tuple[Attempts, Ended]:
+    """One more pass for all of them, in batches: those that go on, and those that have ended."""
+    parts = [attempts[rows] for rows in _batches(len(attempts), options)]
+    going, ended = zip(*side_by_side(lambda part: part.advance(scope, options), parts, scope.device), strict=True)
+    number, patches, good = zip(*ended, strict=True)
+    return Attempts.together(going), Ended(torch.cat(number), Patches.together(list(patches)), torch.cat(good))
+
+
+def attempt(
+    scope: Scope, number: Int[Tensor, " n"], pixels: Float[Tensor, "n 2"], planes: Planes, options: DenseOptions
+) -> Attempts:
+    """Begin with those of n guesses, numbered, that can be compared: within reach, with texture, and with images that
+    see them."""
+    window = Window(options.window)
+    here = torch.zeros_like(number)
+    reference, contrast = unit_windows(scope.atlas, here, here, pixels, window)
+    rays = PixelRays.cast(scope.cameras[0], pixels)
+    distance = rays.meet(planes.points, planes.normals)
+    rows = (
+        (contrast >= options.min_contrast)
+        & (distance > scope.near)
+        & (distance < scope.far)
+        & scope.is_allowed(here, pixels)
+    ).nonzero()[:, 0]
+    image, present = choose_views(scope, rays[rows].at(distance[rows]), options)
+    enough = (present.sum(dim=1) >= fewest_others(scope, options)).nonzero()[:, 0]
+    rows, image, present = rows[enough], image[enough], present[enough]
+    corners = PixelRays.cast(scope.cameras[0], pixels[rows, None] + window.corners.to(pixels))
+    distances = corners.meet(planes.points[rows, None], planes.normals[rows, None])
+    states = distances @ torch.linalg.inv(window.basis).T.to(distances)
+    subjects = Subjects(pixels[rows], rays[rows], contrast[rows])
+    return Attempts.begun(number[rows], subjects, corners, reference[rows], image, present, states)
 
 
 def choose_views(
@@ -55,50 +89,7 @@ def choose_views(
     return local[best.indices], best.values > 0.0
 
 
-def _batches(count: int, most: int) -> list[slice]:
+def _batches(count: int, options: DenseOptions) -> list[slice]:
     """Of at most so many, and if that leaves fewer than `SIDE_BY_SIDE`, smaller ones; the same on every machine."""
-    parts = max(-(-count // most), min(SIDE_BY_SIDE, count // FEWEST), 1)
+    parts = max(-(-count // options.batch), min(SIDE_BY_SIDE, count // FEWEST), 1)
     return [slice(part * count // parts, (part + 1) * count // parts) for part in range(parts)] if count else []
-
-
-def _choose(
-    scope: Scope, pixels: Float[Tensor, "n 2"], planes: Planes, options: DenseOptions
-) -> tuple[Subjects, Int[Tensor, " k"]]:
-    """Those of the n guesses that can be compared, with what is needed for it, and which of the n they are."""
-    here = torch.zeros(len(pixels), dtype=torch.long, device=scope.device)
-    reference, contrast = unit_windows(scope.atlas, here, here, pixels, Window(options.window))
-    rays = PixelRays.cast(scope.cameras[0], pixels)
-    distance = rays.meet(planes.points, planes.normals)
-    rows = (
-        (contrast >= options.min_contrast)
-        & (distance > scope.near)
-        & (distance < scope.far)
-        & scope.is_allowed(here, pixels)
-    ).nonzero()[:, 0]
-    image, present = choose_views(scope, rays[rows].at(distance[rows]), options)
-    enough = (present.sum(dim=1) >= fewest_others(scope, options)).nonzero()[:, 0]
-    rows = rows[enough]
-    subjects = (pixels[rows], rays[rows], planes[rows], reference[rows], contrast[rows])
-    return Subjects(*subjects, image[enough], present[enough]), rows
-
-
-def _adjust(scope: Scope, subjects: Subjects, options: DenseOptions) -> tuple[Comparison, Float[Tensor, "k 3"]]:
-    """The comparison of the patches, and the states that it led to."""
-    window = Window(options.window)
-    corners = PixelRays.cast(scope.cameras[0], subjects.pixels[:, None] + window.corners.to(subjects.pixels))
-    distances = corners.meet(subjects.planes.points[:, None], subjects.planes.normals[:, None])
-    states = distances @ torch.linalg.inv(window.basis).T.to(distances)
-    comparison = Comparison(
-        atlas=scope.atlas,
-        window=window,
-        cameras=scope.cameras[subjects.image[..., None]],
-        rays=corners,
-        reference=subjects.reference,
-        image=subjects.image,
-        level=torch.zeros_like(subjects.image),
-        present=subjects.present,
-        tau=options.loss_scale,
-    ).at_matching_levels(states, MIN_SCALE)
-    if options.iterations:
-        states = minimize_each(comparison, states, options.iterations, TOLERANCE).states
-    return comparison, states

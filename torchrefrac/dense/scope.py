@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
 
-from torchrefrac.dense.atlas import Atlas
+from torchrefrac.dense.atlas import Atlas, pyramid
 from torchrefrac.dense.images import Images
 from torchrefrac.dense.matching.interest_points import InterestPoints
 from torchrefrac.dense.neighbours import Neighbourhood
@@ -79,10 +79,13 @@ def scopes(neighbourhood: Neighbourhood, images: Images, options: DenseOptions) 
             continue
         ids = neighbourhood.ids[seen]
         parts = [box for box, is_seen in zip(boxes, seen.tolist(), strict=True) if is_seen]
-        greys = [
-            images.grey(int(i))[top:bottom, left:right].to(device).float()
-            for i, (left, top, right, bottom) in zip(ids, parts, strict=True)
-        ]
+        if whole:
+            pyramids = [images.copies(i, options.levels) for i in ids.tolist()]
+        else:
+            pyramids = [
+                pyramid(images.grey(i)[top:bottom, left:right].float(), options.levels)
+                for i, (left, top, right, bottom) in zip(ids.tolist(), parts, strict=True)
+            ]
         origin = torch.tensor([box[:2] for box in parts], dtype=torch.float64)
         yield Scope(
             ids=ids.to(device),
@@ -91,7 +94,7 @@ def scopes(neighbourhood: Neighbourhood, images: Images, options: DenseOptions) 
             far=neighbourhood.far,
             points=neighbourhood.points.to(device),
             pixels=neighbourhood.pixels.to(device),
-            atlas=Atlas.build(greys, options.levels, origin, options.interpolation),
+            atlas=Atlas.of_copies(pyramids, origin, options.interpolation).to(device),
             allowed=_stacked([images.allowed(int(i)) for i in ids]).to(device) if images.has_masks else None,
             tile=tile,
             interest_points=images.interest_points,

@@ -6,13 +6,14 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
+from torchrefrac.dense.attempts import Attempts
 from torchrefrac.dense.growth import Cells
 from torchrefrac.dense.matching.epipolar_curve import find_candidates
 from torchrefrac.dense.matching.interest_points import InterestPoints
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches, Planes
 from torchrefrac.dense.rays import PixelRays
-from torchrefrac.dense.refine import refine
+from torchrefrac.dense.refine import attempt, refine
 from torchrefrac.dense.scope import Scope
 
 MATCHED_IMAGES = 3  # in which candidates are looked for
@@ -56,16 +57,17 @@ def _seen(
     return at, valid & inside & known.facing(camera), known.seen_by(scope.ids[0])
 
 
-def sparse_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Patches:
-    """Patches at the sparse points that the reference observes, where their cell is empty."""
+def sparse_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Attempts:
+    """Attempts at patches at the sparse points that the reference observes, where their cell is empty."""
     at, inside = cells.index(scope.pixels)
     facing = scope.cameras[0].center_in_world - scope.points
     return begin(scope, cells, at[inside], Planes(scope.points, facing)[inside], options)
 
 
-def matched_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Patches:
-    """Patches at interest points of the reference in empty cells, matched along their epipolar curves (PMVS's seeds).
-    Of an interest point's candidates in the best other images, the one on which most images agree best is refined."""
+def matched_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Attempts:
+    """Attempts at patches at interest points of the reference in empty cells, matched along their epipolar curves
+    (PMVS's seeds). Of an interest point's candidates in the best other images, the one on which most images agree best
+    is taken."""
     ours = _interest_points(scope, 0)
     at, inside = cells.index(ours.pixels)
     rows = (inside & ~cells.filled[at]).nonzero()[:, 0]
@@ -87,8 +89,14 @@ def matched_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Patches:
     return begin(scope, cells, at[rows[point[best]]], planes[best], options)
 
 
-def begin(scope: Scope, cells: Cells, at: Int[Tensor, " k"], planes: Planes, options: DenseOptions) -> Patches:
-    """Refine one patch in each empty cell of `at`, from its first plane, and fill the cells."""
+def begin(scope: Scope, cells: Cells, at: Int[Tensor, " k"], planes: Planes, options: DenseOptions) -> Attempts:
+    """Attempts at one patch in each empty cell of `at`, with its first plane."""
+    rows = first_of_each(at, ~cells.filled[at])
+    return attempt(scope, at[rows], cells.pixels[at[rows]], planes[rows], options)
+
+
+def settle(scope: Scope, cells: Cells, at: Int[Tensor, " k"], planes: Planes, options: DenseOptions) -> Patches:
+    """Refine one patch in each empty cell of `at`, from its first plane, and fill the cells, but none beside them."""
     rows = first_of_each(at, ~cells.filled[at])
     patches, good = refine(scope, cells.pixels[at[rows]], planes[rows], options)
     cells.fill(at[rows[good]], patches)

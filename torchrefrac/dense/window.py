@@ -53,11 +53,18 @@ class Window:
         return torch.kron(self.weights, torch.eye(2, dtype=torch.float64)).T
 
     @cached_property
-    def outer(self) -> Float[Tensor, "4 3"]:
-        """`weights` of the window's four outermost samples."""
-        return self.weights[[0, self.size - 1, self.size * (self.size - 1), self.size**2 - 1]]
+    def outer(self) -> Float[Tensor, "6 pixels"]:
+        """`places` of the window's four outermost samples."""
+        last = self.size - 1
+        return self.places.view(2 * CORNERS, -1, 2)[:, [0, last, self.size * last, self.size**2 - 1]].flatten(1)
 
     @cached_property
     def basis(self) -> Float[Tensor, "3 3"]:
         """The three distances from (distance, slope along x, slope along y), slopes over one radius."""
         return torch.cat((torch.ones(CORNERS, 1, dtype=torch.float64), self.corners / self.radius), dim=-1)
+
+    @cached_property
+    def squared_basis(self) -> Float[Tensor, "9 9"]:
+        """What takes products in pairs of derivatives in the three distances, row by row, to those in (distance, slope
+        along x, slope along y)."""
+        return torch.kron(self.basis, self.basis)
