@@ -31,7 +31,9 @@ if TYPE_CHECKING:
     from torchrefrac.files.survey import read_survey
     from torchrefrac.files.tracks import read_scene
     from torchrefrac.files.truth import load_truth
+    from torchrefrac.files.work import Work
     from torchrefrac.geometry import Plane, Rigid
+    from torchrefrac.parallel import ExecutorOptions, Workers
     from torchrefrac.refraction import FlatInterface, solve_refrax, water_index
     from torchrefrac.scene import Cameras, Capture, DenseCloud, Interfaces, Observations, Scene, Survey, Truth, Views
     from torchrefrac.sfm import ReadjustOptions, SfmOptions, triangulate_tracks
@@ -56,7 +58,9 @@ _HOME = {
     "files.survey": ("read_survey",),
     "files.tracks": ("read_scene",),
     "files.truth": ("load_truth",),
+    "files.work": ("Work",),
     "geometry": ("Plane", "Rigid"),
+    "parallel": ("ExecutorOptions", "Workers"),
     "refraction": ("FlatInterface", "solve_refrax", "water_index"),
     "scene": (
         "Cameras", "Capture", "DenseCloud", "Interfaces", "Observations", "Scene", "Survey", "Truth", "Views",
@@ -68,12 +72,13 @@ _MODULES = ("bundle", "minimal", "ransac", "refinement", "sfm")
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
-    "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "FlatInterface", "ImportOptions", "Interfaces",
-    "Intrinsics", "LearnableCamera", "Observations", "Options", "Plane", "ReadjustOptions", "RefractiveCamera", "Rigid",
-    "Scene", "SfmOptions", "Survey", "TorchrefracError", "Truth", "Views", "adjust", "adjust_differentiably", "bundle",
-    "densify", "embedded_scene", "evaluate", "from_kornia", "import_photographs", "load_cameras", "load_capture",
-    "load_truth", "made_scene", "minimal", "patch_costs", "ransac", "read_scene", "read_survey", "reconstruct",
-    "refinement", "remove_refraction", "sfm", "solve_refrax", "to_kornia", "triangulate_tracks", "water_index",
+    "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "ExecutorOptions", "FlatInterface",
+    "ImportOptions", "Interfaces", "Intrinsics", "LearnableCamera", "Observations", "Options", "Plane",
+    "ReadjustOptions", "RefractiveCamera", "Rigid", "Scene", "SfmOptions", "Survey", "TorchrefracError", "Truth",
+    "Views", "Work", "Workers", "adjust", "adjust_differentiably", "bundle", "densify", "embedded_scene",
+    "evaluate", "from_kornia", "import_photographs", "load_cameras", "load_capture", "load_truth", "made_scene",
+    "minimal", "patch_costs", "ransac", "read_scene", "read_survey", "reconstruct", "refinement",
+    "remove_refraction", "sfm", "solve_refrax", "to_kornia", "triangulate_tracks", "water_index",
 ]  # fmt: skip
 
 

@@ -10,9 +10,10 @@ import torchrefrac
 from tests.files.metadata.made_photographs import write_photograph
 
 PUBLIC = {
-    "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "FlatInterface", "ImportOptions", "Interfaces",
+    "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "ExecutorOptions", "FlatInterface", "ImportOptions", "Interfaces",
     "Intrinsics", "LearnableCamera", "Observations", "Options", "Plane", "ReadjustOptions", "RefractiveCamera", "Rigid",
-    "Scene", "SfmOptions", "Survey", "TorchrefracError", "Truth", "Views", "adjust", "adjust_differentiably", "bundle",
+    "Scene", "SfmOptions", "Survey", "TorchrefracError", "Truth", "Views", "Work", "Workers", "adjust",
+    "adjust_differentiably", "bundle",
     "densify", "embedded_scene", "evaluate", "from_kornia", "import_photographs", "load_cameras", "load_capture",
     "load_truth", "made_scene", "minimal", "patch_costs", "ransac", "read_scene", "read_survey", "reconstruct",
     "refinement", "remove_refraction", "sfm", "solve_refrax", "to_kornia", "triangulate_tracks",

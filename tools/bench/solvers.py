@@ -18,18 +18,27 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from baseline import bench_parser, figure
-from solver_problems import GEOMETRIES, HEADING_LIMIT_DEG, POSITION_LIMIT, Problem, make_problem
+from solver_problems import GEOMETRIES, HEADING_LIMIT_DEG, POSITION_LIMIT, Geometry, Problem, make_problem
 from torch import Tensor
 from tqdm import tqdm
 
 import torchrefrac as tr
 from torchrefrac.geometry import level_rotation, so3_log
-from torchrefrac.ransac import AbsolutePoseEstimator, RansacOptions, RelativePoseEstimator, level_rays, ransac
+from torchrefrac.ransac import (
+    AbsolutePoseEstimator,
+    RansacOptions,
+    RelativePoseEstimator,
+    RelativePoseEstimators,
+    level_rays,
+    ransac,
+    ransac_each,
+)
 from torchrefrac.refinement import tilt_and_heading
 from torchrefrac.refraction.interface import GLASS
 from torchrefrac.sfm.unknown_vertical import find_verticals
 
 MATCHES = 2000
+TOGETHER = 32
 OPTIONS = RansacOptions(max_error=2.0)
 SPEED_PROBLEMS = 25
 LAYERED = ("4-point", "7-point", "12-point", "2-point", "LSQI")
@@ -294,7 +303,29 @@ def _report_speed() -> None:
             mine, peer, at_will = 1e3 * np.median(np.array(times[2:]), axis=0)
             print(f"{f'{geometry}, {name}':<44}{mine:>7.1f} ms{peer:>7.1f} ms{mine / peer:>8.2f}{at_will:>7.1f} ms")
             figure(f"{geometry}, {name}: time to PoseLib's", mine / peer, "x", "lower", 0.2)
+        mine = 1e3 * _relative_together(geometry)
+        theirs = partial(_poselib, geometry, True)
+        peer, at_will = (
+            1e3 * sum(theirs(seed, options) for seed in range(TOGETHER)) / TOGETHER
+            for options in ({}, {"min_iterations": 32})
+        )
+        name = f"relative pose, {TOGETHER} pairs at a time"
+        print(f"{f'{geometry}, {name}':<44}{mine:>7.1f} ms{peer:>7.1f} ms{mine / peer:>8.2f}{at_will:>7.1f} ms")
+        figure(f"{geometry}, {name}: time to PoseLib's", mine / peer, "x", "lower", 0.2)
     _report_scoring()
+
+
+def _relative_together(geometry: Geometry) -> float:
+    """Seconds a pair, of some that are solved at once."""
+    generators = [torch.Generator().manual_seed(seed) for seed in range(TOGETHER)]
+    pairs = [
+        make_problem(geometry, MATCHES, generator, outliers=0.5, gravity_error_deg=0.5).two_views()
+        for generator in generators
+    ]
+    ransac_each(RelativePoseEstimators(pairs), OPTIONS, [torch.Generator().manual_seed(1) for _ in pairs])
+    start = time.perf_counter()
+    ransac_each(RelativePoseEstimators(pairs), OPTIONS, generators)
+    return (time.perf_counter() - start) / TOGETHER
 
 
 def _poselib(geometry: str, relative: bool, seed: int, options: dict[str, Any]) -> float:
