@@ -10,7 +10,8 @@ import torchrefrac
 from tests.files.metadata.made_photographs import write_photograph
 
 PUBLIC = {
-    "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "ExecutorOptions", "FlatInterface", "ImportOptions", "Interfaces",
+    "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "ExecutorOptions",
+    "FlatInterface", "ImportOptions", "Interfaces",
     "Intrinsics", "LearnableCamera", "Observations", "Options", "Plane", "ReadjustOptions", "RefractiveCamera", "Rigid",
     "Scene", "SfmOptions", "Survey", "TorchrefracError", "Truth", "Views", "Work", "Workers", "adjust",
     "adjust_differentiably", "bundle",
