@@ -184,14 +184,15 @@ class _Growth:
             yield from [scene] * int(new.sum())
 
     def _next_views(self, scene: Scene) -> Int[Tensor, " k"]:
-        """Those that see most points, of the views that see more than when they were refused: nearly as many as the
-        first of them, and no more than call for an adjustment together."""
+        """Those that see most points, of the views that see more than when they were refused: one, or where there are
+        many those that see nearly as many as the first, and no more than call for an adjustment together."""
         seen = visible_points(scene)
         left = ~scene.views.registered & (seen > self._refused)
         order = torch.where(left, seen, -1).argsort(descending=True, stable=True)
-        most = max(int((self.options.global_growth - 1.0) * scene.views.num_registered), 1)
+        registered = scene.views.num_registered
+        most = int((self.options.global_growth - 1.0) * registered) if registered >= self.options.many_images else 1
         several = left & (seen >= NEARLY * seen[order[0]])
-        return order[: min(most, int(several.sum()))]
+        return order[: min(max(most, 1), int(several.sum()))]
 
     def _register(self, scene: Scene, view: int) -> Scene:
         """With one more view, or as it was where that has no pose."""
@@ -215,7 +216,7 @@ class _Growth:
         if joined is None:
             scene, outcome = adjust(scene, growing, self.journal.step)
         else:
-            some = with_neighbours(scene, joined & scene.views.registered, FEWEST)
+            some = with_neighbours(scene, joined, FEWEST)
             scene, outcome = adjust_locally(scene, growing, some, self.journal.step)
         self._record(scene, outcome)
         return triangulate(self._filter(scene, self.rules), self.rules)[0]

@@ -74,8 +74,8 @@ class SfmOptions:
     max_error: of an accepted observation. least_error: what that may come down to once an adjustment shows how large
     errors are; None: it stays. rough_error: see `rough`. min_track_length: images that must see a final point (2 where
     only 2 are registered). global_growth: adjust everything whenever the number of images has grown by this factor.
-    many_images: from so many on these are mostly adjustments of the views that have joined and of their neighbours, and
-    the last ones end when the cost hardly falls any more.
+    many_images: from so many on views are registered in rounds, these are mostly adjustments of the views that have
+    joined and of their neighbours, and the last ones end when the cost hardly falls any more.
     """
 
     ransac: RansacOptions = field(default_factory=lambda: RansacOptions(max_samples=8192))
