@@ -18,13 +18,16 @@ from torchrefrac.bundle import (
     ScaleBars,
     adjust,
     adjust_pose,
+    determinations,
     estimate_pixel_sigma,
     uncertainty,
+    wished_changes,
 )
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.geometry import so3_log
-from torchrefrac.optim import LevenbergMarquardtOptions, SingularError
+from torchrefrac.optim import LevenbergMarquardtOptions, SingularError, choice
+from torchrefrac.optim import covariance as inverses
 from torchrefrac.scene import Observations
 
 SIGMA = 0.4
@@ -44,6 +47,14 @@ def _control(truth):
 
 def _height(truth):
     return HeightPrior(torch.tensor([1]), truth.views.center[1:2, 2], 0.5 * ONE)
+
+
+def _say(problem, truth):
+    """All that is said of how well things are known."""
+    known = uncertainty(problem, truth, SIGMA)
+    said = [known.pose, known.points, known.relative, known.index_ratio, known.planes, *known.intrinsics.values()]
+    said += [torch.tensor(d.posterior) for d in determinations(problem, truth, SIGMA)]
+    return [*said, torch.tensor(list(wished_changes(problem, truth, "focal", SIGMA).values()))]
 
 
 def _first_fixed(count):
@@ -79,6 +90,21 @@ def case_of(plant):
         return planted, planted.problem(terms=terms, fixed=fixed, pixel_sigma=SIGMA, **options | changes)
 
     return make
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_banded_inverse_says_the_same_as_a_dense_one(case_of, monkeypatch, name):
+    planted, problem = case_of(name)
+    dense = _say(problem, planted.truth)
+    monkeypatch.setattr(choice, "SMALL", 0)
+    monkeypatch.setattr(inverses, "MAX_COVARIANCE", 0)
+
+    banded = _say(problem, planted.truth)
+
+    for one, other in zip(banded, dense, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-9)
+    with pytest.raises(SingularError, match="is there in part only"):
+        _ = uncertainty(problem, planted.truth, SIGMA).covariance
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.optim.linear_problems import flat, with_gauge
-from torchrefrac.optim import Blocks, Linearized, linearize
+from torchrefrac.optim import Blocks, IterativeOptions, Linearized, linearize
 
 SHAPES = [{}, {"families": [(3, 2), (1, 1)]}, {"families": [(2, 2)], "extra": 3}, {"extra": 3}]
 shapes = pytest.mark.parametrize("shape", SHAPES, ids=str)
@@ -40,7 +40,7 @@ def test_points_that_are_held_leave_the_normal_equations_of_what_is_kept(make_li
 
 @shapes
 @pytest.mark.parametrize("damping", [0.0, 1e-2, 10.0])
-@pytest.mark.parametrize("solver", ["dense", "iterative"])
+@pytest.mark.parametrize("solver", ["dense", "banded", "iterative"])
 def test_the_predicted_decrease_is_that_of_the_quadratic_model(make_linear, shape, damping, solver):
     linear = make_linear(**shape)
     jacobian, residual = linear.rows()
@@ -99,7 +99,7 @@ def test_what_nothing_depends_on_stands_still_and_the_rest_moves_as_without_it(m
     torch.testing.assert_close(flat(step), linear.dense_step(damping), rtol=1e-7, atol=1e-9)
 
 
-@pytest.mark.parametrize("solver", ["dense", "iterative"])
+@pytest.mark.parametrize("solver", ["dense", "banded", "iterative"])
 def test_a_system_without_observations_gives_a_step_of_zero(make_linear, solver):
     linear = make_linear(families=[(2, 2)])
 
@@ -122,7 +122,7 @@ def test_a_singular_system_is_not_solved_and_what_is_kept_stays(make_linear):
     assert not step.reduced.any()
 
 
-@pytest.mark.parametrize("solver", ["dense", "iterative"])
+@pytest.mark.parametrize("solver", ["dense", "banded", "iterative"])
 @pytest.mark.parametrize("bad", [torch.nan, torch.inf])
 @pytest.mark.parametrize("families", [(), ((3, 1),)], ids=str)
 def test_derivatives_that_are_no_numbers_are_not_solved_and_what_is_kept_stays(make_linear, solver, bad, families):
@@ -156,26 +156,35 @@ def test_along_the_null_space_a_slightly_damped_step_hardly_moves(make_linear, d
     assert (gauge.T @ step.reduced).norm() < 1e-2 * step.reduced.norm()
 
 
-def test_the_solver_is_dense_up_to_a_size_and_iterative_beyond_it(make_linear, monkeypatch):
+def test_the_solver_is_dense_up_to_a_size_and_beyond_it_banded_or_iterative(make_linear, monkeypatch):
     system = make_linear(families=[(2, 2)]).system()
-    dense, iterative = (flat(Linearized(system, solver).solve(1e-3)) for solver in ("dense", "iterative"))
+    dense, banded, iterative = (
+        flat(Linearized(system, solver).solve(1e-3)) for solver in ("dense", "banded", "iterative")
+    )
     assert not torch.equal(dense, iterative)
+    assert not torch.equal(dense, banded)
 
-    monkeypatch.setattr("torchrefrac.optim.solve.MAX_DENSE", system.plan.size)
     assert torch.equal(flat(Linearized(system).solve(1e-3)), dense)
 
-    monkeypatch.setattr("torchrefrac.optim.solve.MAX_DENSE", system.plan.size - 1)
+    monkeypatch.setattr("torchrefrac.optim.choice.SMALL", system.plan.size - 1)
+    monkeypatch.setattr("torchrefrac.optim.choice.MAX_DENSE", system.plan.size)
+    assert torch.equal(flat(Linearized(system).solve(1e-3)), dense)
+
+    monkeypatch.setattr("torchrefrac.optim.choice.MAX_DENSE", system.plan.size - 1)
+    assert torch.equal(flat(Linearized(system).solve(1e-3)), banded)
+
+    monkeypatch.setattr("torchrefrac.optim.choice.MAX_FLOPS", 0.0)
     assert torch.equal(flat(Linearized(system).solve(1e-3)), iterative)
 
 
-@pytest.mark.parametrize("solver", ["dense", "iterative"])
+@pytest.mark.parametrize("solver", ["dense", "banded", "iterative"])
 def test_the_dtype_is_kept(make_linear, solver):
     linear = make_linear(families=[(2, 2)], extra=2)
     system = linear.system()
     terms = [Blocks(b.columns, b.hessian.float(), b.gradient.float()) for b in system.blocks[1:]]
     single = linearize(system.plan, system.rows.float(), system.cost.float(), terms)
 
-    step = Linearized(single, solver).solve(1.0)
+    step = Linearized(single, solver, IterativeOptions(forcing=0.0)).solve(1.0)
 
     assert step.reduced.dtype == step.eliminated.dtype == step.predicted_decrease.dtype == torch.float32
     torch.testing.assert_close(flat(step).double(), linear.dense_step(1.0), rtol=1e-3, atol=1e-4)

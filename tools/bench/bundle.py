@@ -123,7 +123,7 @@ def _fly(arguments: argparse.Namespace) -> dict[str, Any]:
     start = time.process_time()
     report = adjust(flight.start, options, terms=[flight.positions])
     seconds = time.process_time() - start
-    result = {"seconds": seconds, "steps": report.iterations, "cost": report.costs[-1]}
+    result: dict[str, Any] = {"seconds": seconds, "steps": report.iterations, "cost": report.costs[-1]}
     if arguments.uncertainty:
         start = time.process_time()
         known = uncertainty(report.problem, report.scene, PIXEL_SIGMA)

@@ -119,9 +119,10 @@ def observation_rows(
         if compiled:
             rho = _compiled()(rows[..., here], model, *_gathered(model, scene, seen[here]))
         else:
-            (u, v), rho = _parts(model, *_gathered(model, scene, seen[here]))
-            torch.stack(u, out=rows[0, :, here])
-            torch.stack(v, out=rows[1, :, here])
+            axes, root, rho = _parts(model, *_gathered(model, scene, seen[here]))
+            for axis, parts in enumerate(axes):
+                for number, part in enumerate(parts):
+                    torch.mul(part, root, out=rows[axis, number, here])
         if seen.weight is not None:
             rows[..., here] *= seen.weight[here].sqrt()
             rho = rho * seen.weight[here]
@@ -183,8 +184,8 @@ def _parts(
     layers: Float[Tensor, "*interface inner"],
     thickness: Float[Tensor, "*interface inner"],
     precision: Float[Tensor, "*precision"],
-) -> tuple[list[list[Float[Tensor, " k"]]], Float[Tensor, " k"]]:
-    """The rows of u and those of v, and rho."""
+) -> tuple[list[list[Float[Tensor, " k"]]], Float[Tensor, " k"], Float[Tensor, " k"]]:
+    """The rows of u and those of v, by what they are to be multiplied, and rho."""
     intrinsics = Intrinsics(1, 1, focal, principal_point, distortion, fisheye, check=False)
     media, plane = (layers.unbind(dim=-1), thickness.unbind(dim=-1)), Plane(normal, offset, check=False)
     interface = layered(index_ratio, *media, plane, model.moves_with_camera)
@@ -201,15 +202,15 @@ def _parts(
         parts = [part for name in POSE for part in by[name][axis]]
         parts += [part for name in model.intrinsics for part in INTRINSICS[name].of(by, focal, axis)]
         parts += [part for name in model.water for part in WATER[name].of(by, axis, thickness)]
-        axes.append([part * root for part in (*parts, *by["point"][axis], residual[axis])])
-    return axes, torch.where(valid, rho, impossible)
+        axes.append([*parts, *by["point"][axis], residual[axis]])
+    return axes, root, torch.where(valid, rho, impossible)
 
 
 def _rows(
     model: RowModel, fisheye: Mask, *tensors: Float[Tensor, "..."]
 ) -> tuple[Float[Tensor, "2 row k"], Float[Tensor, " k"]]:
-    axes, rho = _parts(model, fisheye, *tensors)
-    return torch.stack([part for axis in axes for part in axis]).unflatten(0, (2, -1)), rho
+    axes, root, rho = _parts(model, fisheye, *tensors)
+    return torch.stack([part * root for axis in axes for part in axis]).unflatten(0, (2, -1)), rho
 
 
 def _write_rows(

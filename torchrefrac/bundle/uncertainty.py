@@ -53,7 +53,7 @@ class Uncertainty:
     @property
     def covariance(self) -> Float[Tensor, "size size"]:
         """`reduced` as a matrix. Raises SingularError where there are too many unknowns for one."""
-        return self.reduced.matrix
+        return self.reduced.matrix()
 
     @property
     def growth(self) -> float:

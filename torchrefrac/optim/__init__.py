@@ -16,14 +16,18 @@ What is computed when, for N observations of w reduced unknowns each:
 - once per problem, `SchurPlan`: the order of the observations and tiles; integers, O(N) memory, a few sorts.
 - once per state that is tried, `linearize`: V, B and the gradients from rows of N r (w + 4) numbers; about
   2 N r (w + 1)^2 flops. The rows stay, E is never formed.
-- once per damping, `Elimination`: the factors of V, 6 n numbers; then S, by `Linearized.solver`:
-  - dense, up to MAX_DENSE = 7200 reduced unknowns: S itself, size^2 numbers (415 MB in double precision) from tiles of
-    small dense products, about 160 n t^2 flops for eliminated blocks that meet t reduced ones, and size^3 / 3 flops of
-    Cholesky, less where many unknowns are in blocks of their own (`BorderedFactor`). Exact also in directions that are
-    all but flat.
-  - iterative, beyond: conjugate gradients on S x = E (V^-1 (E^T x)), about 4 N r (w + 3) flops and two passes over the
-    rows an iteration, no memory beyond vectors; preconditioned block by block and along a few weak directions.
-- once at the end, `Covariance` and `GaussNewtonInverse`: dense, size^3 flops, up to MAX_COVARIANCE = 12000 unknowns.
+- once per damping, `Elimination`: the factors of V, 6 n numbers; then S, from tiles of small dense products, about
+  160 n t^2 flops for eliminated blocks that meet t reduced ones; by `Linearized.solver`, see `choose`:
+  - dense, up to MAX_DENSE = 7200 reduced unknowns: S itself, size^2 numbers (415 MB in double precision), and
+    size^3 / 3 flops of Cholesky, less where many unknowns are in blocks of their own (`BorderedFactor`). Exact also in
+    directions that are all but flat.
+  - banded, where reduced blocks meet few others each: S as a block tridiagonal matrix with a border, about
+    2 size b numbers and 2.3 size b^2 flops for sections of b unknowns. As exact.
+  - iterative: conjugate gradients on the blocks of S that are not zero, or where these would be more numbers than the
+    rows on S x = E (V^-1 (E^T x)), about 4 N r (w + 3) flops and two passes over the rows an iteration, no memory
+    beyond vectors; preconditioned by clusters of blocks and along a few weak directions.
+- once at the end, `Covariance` and `GaussNewtonInverse`: banded, as much as three steps, or dense, size^3 flops, up to
+  MAX_COVARIANCE = 12000 unknowns.
 """
 
 from torchrefrac.optim.banded import solve_banded

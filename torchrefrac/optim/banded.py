@@ -116,7 +116,6 @@ class BandedCovariance:
     order: BandedOrder
     numbers: Float[Tensor, " elements"]
 
-    @property
     def matrix(self) -> Float[Tensor, "size size"]:
         raise SingularError(f"the covariance of {len(self.order.position)} reduced unknowns is there in part only")
 

@@ -27,10 +27,11 @@ class Method(NamedTuple):
         return DenseFactor.of(elimination) if self.order is None else BandedFactor.of(elimination, self.order)
 
 
-def choose(system: NormalEquations, solver: ReducedSolver = "auto", max_dense: int = MAX_DENSE) -> Method:
+def choose(system: NormalEquations, solver: ReducedSolver = "auto", max_dense: int | None = None) -> Method:
     """What is named, or the cheapest that fits: dense up to SMALL unknowns; beyond, the banded one where it needs less
-    than half the operations of the dense one, which is left out beyond max_dense unknowns; the iterative one where
-    neither is affordable. On a GPU, which would wait for the order, dense or iterative by the number of unknowns."""
+    than half the operations of the dense one, which is left out beyond max_dense (MAX_DENSE) unknowns; the iterative
+    one where neither is affordable. On a GPU, which would wait for the order, dense or iterative by their number."""
+    max_dense = MAX_DENSE if max_dense is None else max_dense
     if solver not in ("auto", "banded"):
         return Method(solver)
     size = system.plan.size

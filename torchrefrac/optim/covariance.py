@@ -152,7 +152,7 @@ class Covariance:
     @property
     def reduced(self) -> Float[Tensor, "size size"]:
         """`among` as a matrix. Raises SingularError where there are too many unknowns for one."""
-        return self.among.matrix
+        return self.among.matrix()
 
     @property
     def elimination(self) -> Elimination:

@@ -70,13 +70,16 @@ class DenseFactor:
 class DenseCovariance:
     """See `ReducedCovariance`."""
 
-    matrix: Float[Tensor, "size size"]
+    values: Float[Tensor, "size size"]
+
+    def matrix(self) -> Float[Tensor, "size size"]:
+        return self.values
 
     def __getitem__(self, pair: tuple[Int[Tensor, "..."], Int[Tensor, "..."]]) -> Float[Tensor, "..."]:
-        return self.matrix[pair]
+        return self.values[pair]
 
     def times(self, factor: float) -> "DenseCovariance":
-        return DenseCovariance(self.matrix * factor)
+        return DenseCovariance(self.values * factor)
 
     def plus(self, draws: Float[Tensor, "draws size"]) -> "DenseCovariance":
-        return DenseCovariance(self.matrix + draws.mT @ draws / len(draws))
+        return DenseCovariance(self.values + draws.mT @ draws / len(draws))

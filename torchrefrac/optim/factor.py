@@ -18,7 +18,6 @@ class ReducedCovariance(Protocol):
     """Of the reduced unknowns: elements [rows, columns], at least of pairs that some observation or term depends on
     both of."""
 
-    @property
     def matrix(self) -> Float[Tensor, "size size"]:
         """All elements. Raises SingularError where most were never computed."""
         ...

@@ -42,18 +42,12 @@ class Clusters:
     @classmethod
     def of(cls, system: NormalEquations, blocks: int) -> "Clusters":
         """Of so many blocks each."""
-        m, size, device = system.plan.num_reduced, system.plan.size, system.rows.device
+        m, nothing = system.plan.num_reduced, np.zeros(0, dtype=np.int64)
+        order = np.concatenate(_levels(system.pairs.cpu().numpy(), nothing, m)) if blocks > 1 else np.arange(m)
+        own = REDUCED_SIZE * np.argsort(order)[:, None] + np.arange(REDUCED_SIZE)
+        position = np.concatenate((own.flatten(), np.full(system.plan.size - own.size, -1)))
         together = min(blocks, max(m, 1))
-        order = (
-            np.concatenate(_levels(system.pairs.cpu().numpy(), np.zeros(0, dtype=np.int64), m))
-            if blocks > 1
-            else range(m)
-        )
-        position = np.full(size, -1)
-        position[: REDUCED_SIZE * m].reshape(m, REDUCED_SIZE)[order] = np.arange(REDUCED_SIZE * m).reshape(
-            m, REDUCED_SIZE
-        )
-        return cls(torch.from_numpy(position).to(device), REDUCED_SIZE * together, -(-m // together))
+        return cls(torch.from_numpy(position).to(system.rows.device), REDUCED_SIZE * together, -(-m // together))
 
     @property
     def elements(self) -> int:
