@@ -73,8 +73,8 @@ class Atlas:
 
     def to(self, device: torch.device) -> "Atlas":
         """The same on another device."""
-        tensors = (self.sheet, self.offset, self.origin, self.size)
-        return Atlas(*(tensor.to(device) for tensor in tensors), self.mode)
+        sheet, offset, origin, size = (t.to(device) for t in (self.sheet, self.offset, self.origin, self.size))
+        return Atlas(sheet, offset, origin, size, self.mode)
 
     def copy(self, image: int, level: int = 0) -> Float[Tensor, "h w"]:
         """The copy of an image's part."""
