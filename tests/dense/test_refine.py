@@ -13,7 +13,7 @@ from torchrefrac.dense.atlas import Atlas
 from torchrefrac.dense.matching.interest_points import InterestPoints
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Planes
-from torchrefrac.dense.refine import choose_views, refine
+from torchrefrac.dense.refine import attempt, choose_views, compare, refine
 from torchrefrac.dense.scope import Scope
 from torchrefrac.refraction import FlatInterface
 
@@ -281,3 +281,86 @@ def test_images_that_do_not_see_a_point_or_are_masked_there_are_not_chosen():
     expected[2] = False  # far away the rays are all but parallel
     assert chosen.tolist() == expected.tolist()
     assert chosen[0].tolist() == [True, False, True]
+
+
+def test_known_planes_look_the_same_in_another_image_where_they_lie_on_the_surface(draw, pond):
+    """By as much as windows that are sampled one by one say."""
+    pixels, scope = _lattice(), pond.scope(NEAR, FAR, OPTIONS)
+    planes, image = Planes(*pond.at(pixels)), 1 + torch.arange(len(pixels)) % 3
+    away = Planes(planes.points + torch.tensor((0.0, 0.0, 8.0)).double(), planes.normals)
+
+    score, good = compare(scope, pixels, planes, image, OPTIONS)
+    off_score, off_good = compare(scope, pixels, away, image, OPTIONS)
+
+    single = replace(OPTIONS, iterations=0, views=1, min_views=2, min_score=0.01)
+    for other in (1, 2, 3):
+        rows = (good & (image == other)).nonzero()[:, 0]
+        pair = replace(scope, ids=scope.ids[[0, other]], cameras=scope.cameras[[0, other]], atlas=_pair(pond, other))
+        judged, kept = refine(pair, pixels[rows], planes[rows], single)
+        torch.testing.assert_close(score[rows[kept]], judged.score, rtol=0.0, atol=1e-4)
+        assert len(kept) > 0.9 * len(rows) > 30
+    assert good.double().mean() > 0.8
+    assert score[good].min() > 0.95
+    assert off_good.double().mean() < 0.1
+    assert off_score.median() < 0.5
+
+
+def _pair(rendered, other: int) -> Atlas:
+    return Atlas.build([rendered.images[0], rendered.images[other]], OPTIONS.levels, mode=OPTIONS.interpolation)
+
+
+@pytest.mark.parametrize("change", ["masked", "near", "far", "contrast", "slant"])
+def test_known_planes_that_may_not_be_believed_do_not_count(pond, change):
+    pixels = _lattice()
+    planes, image = Planes(*pond.at(pixels)), torch.ones(len(pixels), dtype=torch.long)
+    allowed = torch.ones(pond.images.shape, dtype=torch.bool)
+    allowed[1] = False
+    scopes = {
+        "masked": pond.scope(NEAR, FAR, OPTIONS, allowed),
+        "near": pond.scope(80.0, FAR, OPTIONS),
+        "far": pond.scope(NEAR, 21.0, OPTIONS),
+    }
+    options = {"contrast": replace(OPTIONS, min_contrast=200.0), "slant": replace(OPTIONS, max_slant=1e-3)}
+
+    _, good = compare(
+        scopes.get(change, pond.scope(NEAR, FAR, OPTIONS)), pixels, planes, image, options.get(change, OPTIONS)
+    )
+
+    assert not good.any()
+
+
+def test_attempts_that_join_others_end_as_alone(draw, pond):
+    """Whoever they share their passes with; one that ends is not passed over again."""
+    pixels, scope = _lattice(12), pond.scope(NEAR, FAR, OPTIONS)
+    planes = _guesses(draw, pond, pixels)
+    half, alone = len(pixels) // 2, refine(scope, pixels, planes, OPTIONS)
+    number = torch.arange(len(pixels))
+
+    under_way = attempt(scope, number[:half], pixels[:half], planes[:half], OPTIONS)
+    ended, passes = [], 0
+    while len(under_way):
+        if passes == 2:
+            late = attempt(scope, number[half:], pixels[half:], planes[half:], OPTIONS)
+            under_way = type(under_way).together([under_way, late])
+        under_way, some = under_way.advance(scope, OPTIONS)
+        ended.append(some)
+        passes += 1
+
+    good = torch.cat([some.good for some in ended])
+    points = torch.cat([some.patches.points for some in ended])[good.argsort()]
+    assert torch.equal(good.sort().values, alone[1])
+    torch.testing.assert_close(points, alone[0].points, rtol=0.0, atol=1e-3)
+    everyone = torch.cat([some.number for some in ended])
+    assert len(everyone) == len(everyone.unique())
+    assert passes <= 2 + OPTIONS.iterations + 2
+
+
+def test_no_attempt_makes_more_passes_than_it_may(draw, pond):
+    pixels, options = _lattice(12), replace(OPTIONS, iterations=3)
+    scope = pond.scope(NEAR, FAR, options)
+    under_way = attempt(scope, torch.arange(len(pixels)), pixels, _guesses(draw, pond, pixels, off=30.0), options)
+
+    for _ in range(options.iterations + 2):
+        under_way, _ = under_way.advance(scope, options)
+
+    assert not len(under_way)

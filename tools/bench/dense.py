@@ -1,12 +1,13 @@
-"""The dense stage: whole runs against truth, patches a second, and what the windows are sampled with.
+"""The dense stage: whole runs against truth, points and patches a second, and what the windows are sampled with.
 
-    python tools/bench/dense.py [CAPTURE_FOLDER] [--only runs|patches|sampling] [--methods patch] [--models refractive]
+    python tools/bench/dense.py [FOLDER] [--only runs|stage|patches|sampling] [--methods patch] [--models refractive]
 
 Without a folder it takes the embedded scene. Whole runs are started as a user starts them, each in a process of its
 own; the models without refraction are the peers, and the last column is their RMS to the true planes over the
-refractive one of the same method. Patches a second counts patches that are adjusted in up to five other images from
+refractive one of the same method. The stage alone is measured in points per second of all processors' time, from the
+photographs to the cloud. Patches a second counts patches that are adjusted in up to five other images from
 guesses a few pixels off, believed or not; PMVS2 makes 890 a second and core. Sampling compares PyTorch's grid_sample
-with kornia's warps on the windows of patches.
+with kornia's warps and its remap on the windows of patches.
 """
 
 import math
@@ -45,7 +46,7 @@ HEADER = (
 def main() -> None:
     parser = bench_parser("Dense reconstruction: truth, time and memory.")
     parser.add_argument("capture", nargs="?", type=Path, help="folder with capture.json and truth.json")
-    parser.add_argument("--only", choices=("runs", "patches", "sampling"))
+    parser.add_argument("--only", choices=("runs", "stage", "patches", "sampling"))
     parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS)
     parser.add_argument("--models", nargs="+", default=MODELS, choices=MODELS)
     options = parser.parse_args()
@@ -54,6 +55,8 @@ def main() -> None:
         sampling()
     if options.only in (None, "patches"):
         patches(folder)
+    if options.only in (None, "stage"):
+        stage(folder, options.methods)
     if options.only in (None, "runs"):
         runs(folder, options.methods, options.models)
 
@@ -75,19 +78,37 @@ def sampling(count: int = 2000) -> None:
         values = torch.nn.functional.grid_sample(image, wanted, align_corners=False)
         return torch.autograd.grad(values, wanted, torch.ones_like(values))[0]
 
+    x, y = (places[..., axis][None] for axis in range(2))
+
+    def remapped() -> Tensor:
+        return warps.remap(image, x - 0.5, y - 0.5, align_corners=True)
+
     ways: dict[str, Callable[[], Tensor]] = {
         "grid_sample": lambda: torch.nn.functional.grid_sample(image, grid, align_corners=False),
         "grid_sample with slopes": with_slopes,
+        "kornia.remap": remapped,
         "kornia.warp_affine": lambda: warps.warp_affine(images, affinity[:, :2], (7, 7)),
         "kornia.warp_perspective": lambda: warps.warp_perspective(images, affinity, (7, 7)),
     }
     reference = ways["grid_sample"]().view(count, 49)
+    assert torch.allclose(remapped().view(count, 49), reference, atol=1e-3)
     assert torch.allclose(ways["kornia.warp_affine"]().view(count, 49), reference, atol=1e-3)
     print(f"sampling {count} windows of 7 x 7, bilinear, {torch.get_num_threads()} threads")
     rates = {name: count * 49 / _seconds(way) / 1e6 for name, way in ways.items()}
     for name, rate in rates.items():
         print(f"  {name:<24} {rate:6.1f} M samples/s  {rate / rates['grid_sample']:5.2f}x")
     figure("grid_sample, to kornia.warp_affine", rates["grid_sample"] / rates["kornia.warp_affine"], "x", "higher", 0.2)
+
+
+def stage(folder: Path, methods: list[str]) -> None:
+    """The dense stage of a sparse reconstruction, in one process."""
+    scene = tr.reconstruct(tr.load_capture(folder))
+    for method in methods:
+        start = time.process_time()
+        points = len(tr.densify(scene, DenseOptions(method=method)).cloud)
+        seconds = time.process_time() - start
+        print(f"{method:<9} {points} points in {seconds:.1f} s of processors, {points / seconds:.0f} points/s")
+        figure(f"{folder.name}, {method}: points per CPU second", points / seconds, "points/s", "higher", 0.2)
 
 
 def patches(folder: Path) -> None:

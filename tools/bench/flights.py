@@ -89,7 +89,7 @@ def _corner(flight: Path, rows: int, columns: int, folder: Path) -> None:
     survey["images"] = {name: survey["images"][name] for name in names}
     for name, values in (("capture.json", content), ("survey.json", survey)):
         (folder / name).write_text(json.dumps(values), encoding="utf-8")
-    for name in ("truth.json", "truth_surface.ply"):
+    for name in filter(lambda name: (flight / name).exists(), ("truth.json", "truth_surface.ply")):
         os.symlink(flight / name, folder / name)
     (folder / "images").mkdir()
     for name in names:

@@ -67,10 +67,14 @@ class Atlas:
     def levels(self) -> int:
         return self.offset.shape[1]
 
+    def level_of(self, scale: Float[Tensor, "*batch"]) -> Int[Tensor, "*batch"]:
+        """The copies that show things about as large as an image that shows them at 1 / scale."""
+        return torch.log2(scale.clamp(min=1.0)).round().long().clamp(max=self.levels - 1)
+
     def to(self, device: torch.device) -> "Atlas":
         """The same on another device."""
-        tensors = (self.sheet, self.offset, self.origin, self.size)
-        return Atlas(*(tensor.to(device) for tensor in tensors), self.mode)
+        sheet, offset, origin, size = (t.to(device) for t in (self.sheet, self.offset, self.origin, self.size))
+        return Atlas(sheet, offset, origin, size, self.mode)
 
     def copy(self, image: int, level: int = 0) -> Float[Tensor, "h w"]:
         """The copy of an image's part."""

@@ -22,7 +22,7 @@ from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.window import Window
 from torchrefrac.optim.batched import Quadratic, solve_damped
 
-LAST_STEP = 0.12  # pixels in the other images: a step by less is the last, and nobody looks where it leads
+LAST_STEP = 0.15  # pixels in the other images: a step by less is the last, and nobody looks where it leads
 DAMPING = 1e-4
 MIN_SCALE = 0.4  # of an image against the reference: one that shows the surface smaller than this is not compared
 

@@ -86,8 +86,8 @@ class Comparison(NamedTuple):
     def at_matching_levels(self, seen: Seen, fresh: Bool[Tensor, " n"], min_scale: float) -> "Comparison":
         """For the `fresh` patches with the copies of the other images that show them about as large as the reference
         does. An image that shows one at less than `min_scale` of the reference's size is no longer present."""
-        scale = (_area(seen.pixels).abs() / _area(self.window.corners).to(seen.pixels)).sqrt()
-        level = torch.log2(scale.clamp(min=1.0)).round().long().clamp(max=self.atlas.levels - 1)
+        scale = _scale(seen.pixels, self.window)
+        level = self.atlas.level_of(scale)
         changes = fresh[:, None]
         return self._replace(
             level=torch.where(changes, level, self.level), present=self.present & (~changes | (scale >= min_scale))
@@ -187,21 +187,45 @@ def patch_costs(
     """
     window = Window() if window is None else window
     atlas = images if isinstance(images, Atlas) else Atlas.build(images, levels=1)
-    count, views = others.shape
-    corners = pixels[:, None] + window.corners.to(pixels)
-    rays = PixelRays.cast(cameras[reference][:, None], corners)
-    points = rays.at(states @ window.basis.to(states).T)
-    seen, valid = cameras[others][..., None].project(points[:, None])
-    flat, at = others.flatten(), window.weights.to(seen) @ seen.flatten(0, 1)
-    level = torch.zeros_like(flat)
+    rays = PixelRays.cast(cameras[reference][:, None], pixels[:, None] + window.corners.to(pixels))
     f, _ = unit_windows(atlas, reference, torch.zeros_like(reference), pixels, window)
-    g = atlas.sample(flat, level, at).view(count, views, -1)
-    g = g - g.mean(dim=-1, keepdim=True)
-    norm_sq = g.square().sum(dim=-1)
-    usable = valid.all(dim=-1) & (norm_sq > TINY) & atlas.contains(flat, level, at).view(count, views)
-    zncc = (f[:, None] * g).sum(dim=-1) * norm_sq.clamp(min=TINY).rsqrt()
+    zncc, usable, _ = correlations(cameras, atlas, rays, f, states, others, window)
     bad = torch.where(usable, 1.0 - zncc, WORST)
     return (bad / (1.0 + bad / tau)).sum(dim=-1)
+
+
+def correlations(
+    cameras: RefractiveCamera,
+    atlas: Atlas,
+    rays: PixelRays,
+    f: Float[Tensor, "n samples"],
+    states: Float[Tensor, "n 3"],
+    others: Int[Tensor, "n v"],
+    window: Window,
+    matching_levels: bool = False,
+) -> tuple[Float[Tensor, "n v"], Bool[Tensor, "n v"], Float[Tensor, "n v"]]:
+    """ZNCC of patches in other images, as plain differentiable operations; where these show them as a whole, with
+    texture; and the scale at which they do, against the reference.
+
+    rays (n, 3): those of the window's corners; f: unit vectors of the windows. matching_levels: looks at the copies
+    that show the patches about as large as the reference does.
+    """
+    points = rays.at(states @ window.basis.to(states).T)
+    seen, valid = cameras[others][..., None].project(points[:, None])
+    scale = _scale(seen, window)
+    flat, seen = others.flatten(), seen.flatten(0, 1).to(torch.promote_types(f.dtype, atlas.sheet.dtype))
+    level = atlas.level_of(scale).flatten() if matching_levels else torch.zeros_like(flat)
+    at = (seen.flatten(1) @ window.places.to(seen)).unflatten(1, (-1, 2))
+    g = atlas.sample(flat, level, at).view(*others.shape, -1)
+    g = g - g.mean(dim=-1, keepdim=True)
+    norm_sq = g.square().sum(dim=-1)
+    usable = valid.all(dim=-1) & (norm_sq > TINY) & atlas.contains(flat, level, at).view(others.shape)
+    return (f[:, None] * g).sum(dim=-1) * norm_sq.clamp(min=TINY).rsqrt(), usable, scale
+
+
+def _scale(corners: Float[Tensor, "*batch 3 2"], window: Window) -> Float[Tensor, "*batch"]:
+    """Of windows with these corners, against the reference's."""
+    return (_area(corners).abs() / _area(window.corners).to(corners)).sqrt()
 
 
 def _area(corners: Float[Tensor, "*batch 3 2"]) -> Float[Tensor, "*batch"]:

@@ -1,15 +1,17 @@
 """From a guess to a patch: which images to compare with, and the photometric adjustment of many together."""
 
+import math
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchrefrac.dense.attempts import Attempts, Ended
+from torchrefrac.dense.attempts import MIN_SCALE, Attempts, Ended
 from torchrefrac.dense.judge import Subjects, fewest_others
 from torchrefrac.dense.neighbours import angle_between, fitness
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches, Planes
-from torchrefrac.dense.photometric import unit_windows
+from torchrefrac.dense.photometric import correlations, unit_windows
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.window import Window
@@ -72,6 +74,41 @@ def attempt(
     states = distances @ torch.linalg.inv(window.basis).T.to(distances)
     subjects = Subjects(pixels[rows], rays[rows], contrast[rows])
     return Attempts.begun(number[rows], subjects, corners, reference[rows], image, present, states)
+
+
+def compare(
+    scope: Scope, pixels: Float[Tensor, "n 2"], planes: Planes, image: Int[Tensor, " n"], options: DenseOptions
+) -> tuple[Float[Tensor, " n"], Bool[Tensor, " n"]]:
+    """How well planes (n) at reference pixels look the same in one other image each, as they are, and which do so well
+    enough to be believed of surfaces that are known."""
+    window = Window(options.window)
+
+    def compared(rows: slice) -> tuple[Float[Tensor, " b"], Bool[Tensor, " b"]]:
+        here, (points, normals) = torch.zeros_like(image[rows]), planes[rows]
+        f, contrast = unit_windows(scope.atlas, here, here, pixels[rows], window)
+        corners = PixelRays.cast(scope.cameras[0], pixels[rows, None] + window.corners.to(pixels))
+        distances = corners.meet(points[:, None], normals[:, None])
+        states = distances @ torch.linalg.inv(window.basis).T.to(distances)
+        zncc, usable, scale = correlations(
+            scope.cameras, scope.atlas, corners, f, states, image[rows, None], window, matching_levels=True
+        )
+        middle = states[:, 0]
+        to_camera = torch.nn.functional.normalize(scope.cameras[0].center_in_world - points, dim=-1)
+        good = (
+            (usable & (zncc >= options.min_score) & (scale >= MIN_SCALE))[:, 0]
+            & (contrast >= options.min_contrast)
+            & ((normals * to_camera).sum(dim=-1) > math.cos(math.radians(options.max_slant)))
+            & (middle > scope.near)
+            & (middle < scope.far)
+            & scope.is_allowed(here, pixels[rows])
+            & scope.is_allowed(image[rows], scope.cameras[image[rows]].project(points)[0])
+        )
+        return zncc[:, 0].to(states), good
+
+    parts = side_by_side(compared, _batches(len(pixels), options), scope.device)
+    nothing = pixels[:0, 0]
+    score, good = zip((nothing, nothing > 0.0), *parts, strict=True)
+    return torch.cat(score), torch.cat(good)
 
 
 def choose_views(

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.dense.attempts import Attempts
@@ -13,7 +13,7 @@ from torchrefrac.dense.matching.interest_points import InterestPoints
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches, Planes
 from torchrefrac.dense.rays import PixelRays
-from torchrefrac.dense.refine import attempt, refine
+from torchrefrac.dense.refine import attempt, compare, refine
 from torchrefrac.dense.scope import Scope
 
 MATCHED_IMAGES = 3  # in which candidates are looked for
@@ -23,21 +23,30 @@ FIRST_SCORE = 0.5  # of a candidate whose slant is not yet known
 
 def cover(scope: Scope, cells: Cells, known: Patches, options: DenseOptions) -> None:
     """Fill the cells in which a known patch is seen, without a new one: its own comparison has shown it, or the
-    reference agrees with another image about it as it is. New patches grow from them, too."""
-    at, facing, shown = _seen(scope, cells, known)
+    reference agrees about it, as it is, with an image that is known to see it. New patches grow from them, too."""
+    pixels, at, facing, shown = _seen(scope, cells, known)
     rows = (facing & shown).nonzero()[:, 0]
     cells.fill(at[rows], known[rows])
-    rows = first_of_each(at, facing & ~shown & ~cells.filled[at])
-    pixels, _ = scope.cameras[0].project(known.points[rows])
-    as_it_is = replace(options, iterations=0, views=1, min_views=2)
-    seen, good = refine(scope, pixels, Planes(known.points[rows], known.normals[rows]), as_it_is)
+    image = _where_seen(scope, known)
+    rows = first_of_each(at, facing & ~shown & (image > 0) & ~cells.filled[at])
+    planes = Planes(known.points[rows], known.normals[rows])
+    score, good = compare(scope, pixels[rows], planes, image[rows], options)
     rows = rows[good]
-    cells.fill(at[rows], replace(known[rows], score=seen.score))
+    cells.fill(at[rows], replace(known[rows], score=score[good]))
+
+
+def _where_seen(scope: Scope, known: Patches) -> Int[Tensor, " n"]:
+    """For each known patch a local image that is known to see it, the best that there is; 0: none."""
+    most = torch.cat((known.reference, known.others.flatten(), scope.ids)).max() + 1
+    local = torch.zeros(int(most), dtype=torch.long, device=scope.device)
+    local[scope.ids] = torch.arange(len(scope.ids), device=scope.device)
+    images = torch.cat((local[known.reference][:, None], torch.where(known.visible, local[known.others], 0)), dim=1)
+    return images.gather(1, (images > 0).long().argmax(dim=1, keepdim=True))[:, 0]
 
 
 def cover_repeated(scope: Scope, cells: Cells, known: Patches, maps: int) -> None:
     """Fill the cells in which patches of `maps` other images have been shown to be seen, or one of the reference."""
-    at, facing, shown = _seen(scope, cells, known)
+    _, at, facing, shown = _seen(scope, cells, known)
     rows = (facing & shown).nonzero()[:, 0]
     mine = known.reference[rows] == scope.ids[0]
     pairs = torch.stack((at[rows], known.reference[rows]), dim=-1)[~mine].unique(dim=0)
@@ -48,13 +57,13 @@ def cover_repeated(scope: Scope, cells: Cells, known: Patches, maps: int) -> Non
 
 def _seen(
     scope: Scope, cells: Cells, known: Patches
-) -> tuple[Int[Tensor, " n"], Bool[Tensor, " n"], Bool[Tensor, " n"]]:
-    """For each known patch the cell that it lies in, whether it lies in one and faces the reference, and whether
-    its own comparison has shown that the reference sees it."""
+) -> tuple[Float[Tensor, "n 2"], Int[Tensor, " n"], Bool[Tensor, " n"], Bool[Tensor, " n"]]:
+    """For each known patch the pixel and the cell that it lies in, whether it lies in one and faces the reference, and
+    whether its own comparison has shown that the reference sees it."""
     camera = scope.cameras[0]
     pixels, valid = camera.project(known.points, inside_image=True)
     at, inside = cells.index(pixels)
-    return at, valid & inside & known.facing(camera), known.seen_by(scope.ids[0])
+    return pixels, at, valid & inside & known.facing(camera), known.seen_by(scope.ids[0])
 
 
 def sparse_seeds(scope: Scope, cells: Cells, options: DenseOptions) -> Attempts:

@@ -78,9 +78,8 @@ def _peaks(
 ) -> tuple[Float[Tensor, "k 2"], Float[Tensor, " k"]]:
     """Pixels of the maxima of a response that reach `least`, and the response there. Of equal neighbours the first
     counts. Maxima without a vertex nearby, or elongated ones, are left out."""
-    highest = torch.nn.functional.max_pool2d(response[None, None], 3, stride=1, padding=1)[0, 0]
     inner = (slice(BORDER, -BORDER),) * 2
-    row, column = ((response == highest) & (response >= least))[inner].nonzero().unbind(dim=-1)
+    row, column = ((response == _highest(response)) & (response >= least))[inner].nonzero().unbind(dim=-1)
     row, column = row + BORDER, column + BORDER
     around = torch.stack([response[row + down, column + right] for down, right in AROUND], dim=-1)
     first = (around[:, :4] < around[:, 4:5]).all(dim=-1)
@@ -88,6 +87,14 @@ def _peaks(
     shift, sharp = _vertex(around, elongation)
     at = torch.stack((column, row), dim=-1) + 0.5 + shift
     return at[sharp], around[sharp, 4]
+
+
+def _highest(response: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
+    """The maximum of the 3 x 3 values around each, away from the border; several times as fast as pooling."""
+    highest = response.clone()
+    across = torch.maximum(torch.maximum(response[:, :-2], response[:, 1:-1]), response[:, 2:])
+    highest[1:-1, 1:-1] = torch.maximum(torch.maximum(across[:-2], across[1:-1]), across[2:])
+    return highest
 
 
 def _vertex(around: Float[Tensor, "k 9"], elongation: float) -> tuple[Float[Tensor, "k 2"], Bool[Tensor, " k"]]:
