@@ -42,6 +42,16 @@ def test_workers_that_end_again_and_again_are_an_error_that_says_what_helps(monk
         list(workers.each(jobs.killed, range(2), LONG))
 
 
+def test_work_that_hands_out_its_parts_itself_is_done_once_more_where_a_worker_is_lost(tmp_path):
+    def work(executor):
+        return list(executor.map(partial(jobs.squared_unless_first, tmp_path), range(5)))
+
+    with Workers(TWO) as workers:
+        assert workers.together(work, True) == [0, 1, 4, 9, 16]
+        assert workers.together(lambda executor: executor, False) is None
+    assert (tmp_path / "killed").exists()
+
+
 def test_an_error_in_a_job_is_raised_here():
     with Workers(TWO) as workers, pytest.raises(ValueError, match="number"):
         list(workers.each(jobs.refuse, range(30), LONG))

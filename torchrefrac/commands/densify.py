@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,9 +25,13 @@ from torchrefrac.files.swap import home, remove_if_empty
 from torchrefrac.files.tracks import CAMERAS, read_run
 from torchrefrac.files.truth import load_truth
 from torchrefrac.geometry import Similarity
+from torchrefrac.parallel import Workers
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture, CaptureError, Scene, SceneError, Truth
 from torchrefrac.scene.wording import wording_of
+
+MANY_VIEWS = 40
+"""Views, from which on there are such as have nothing in common, which can be done at a time."""
 
 
 class SparseRun(NamedTuple):
@@ -47,10 +52,10 @@ def densify_run(run: SparseRun, options: DensifyOptions, recorder: Recorder) -> 
     if options.outputs.for_surveys:
         require_surface(run.scene.interfaces)
     files = RunFolder(run.folder)
-    with files.recording_dense():
+    with Workers(options.executor) as workers, files.recording_dense():
         truth = load_truth(photographs(run.scene).folder)
         alignment = None if truth is None else evaluate(run.scene, truth)[1]
-        dense_stage(files, run.scene, options.dense, options.outputs, truth, alignment, recorder)
+        dense_stage(files, run.scene, options.dense, options.outputs, truth, alignment, recorder, workers)
     return files.metrics
 
 
@@ -62,17 +67,20 @@ def dense_stage(
     truth: Truth | None,
     alignment: Similarity | None,
     recorder: Recorder,
+    workers: Workers | None = None,
 ) -> None:
     """Densify, evaluate where `alignment` maps the cameras to those of the truth, write and draw everything.
 
-    Every view's patches are kept in the folder of the run itself until all is written. Raises DenseError where nothing
-    is found or outputs.raster_cell is too small for the extent, and what `densify` raises.
+    workers: who does the views of many photographs, by default this process. Every view's patches stay in the folder of
+    the run itself until all is written. Raises DenseError where nothing is found or outputs.raster_cell is too small
+    for the extent, and what `densify` raises.
     """
     folder = files.folder
     files.save_metrics()
     parts = FolderStore(home(folder) / PARTS, scene, options)
     store, start = CountingStore(parts), time.perf_counter()
-    dense = densify(scene, options, recorder, store)
+    many = scene.views.num_registered >= MANY_VIEWS
+    dense = (workers or Workers()).together(partial(densify, scene, options, recorder, store), many)
     seconds = time.perf_counter() - start
     if not len(dense.cloud):
         raise DenseError(

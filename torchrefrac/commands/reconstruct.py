@@ -146,7 +146,7 @@ def run(
             in_air = replace(options, water=WaterOptions(index_ratio=1.0))
             files.metrics |= land_difference(scene, reconstruct(capture, in_air, recorder, survey=survey, work=work))
         if options.dense.method != "none":
-            dense_stage(files, scene, options.dense, options.outputs, truth, alignment, recorder)
+            dense_stage(files, scene, options.dense, options.outputs, truth, alignment, recorder, workers)
         work.clear()
     return files.metrics
 

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import get_context
@@ -108,13 +109,25 @@ class Workers:
                 self.close()
                 losses += 1
                 if losses > LOSSES:
-                    raise ExecutorError(
-                        f"worker processes ended {losses} times without finishing anything, most often for want of "
-                        f"memory: there were {self.count} of them; set executor.workers to fewer"
-                    ) from None
+                    raise self._lost() from None
             except BaseException:
                 self.close()
                 raise
+
+    def together(self, work: Callable[[Executor | None], T], worth: bool) -> T:
+        """What `work` returns that hands out its parts by itself, with an executor, or None where processes are not
+        worth beginning, or there is to be one alone. Done once more, with new processes, where one was lost: what it
+        has stored it need not do again.
+
+        Raises ExecutorError where workers end again and again.
+        """
+        if self.options.kind == "processes" and (self.count == 1 or not worth):
+            return work(None)
+        for _ in range(LOSSES):
+            with suppress(BrokenProcessPool):
+                return work(self._open())
+            self.close()
+        raise self._lost()
 
     def _submitted(self, function: Callable[[S], T], jobs: dict[int, S]) -> Iterator[tuple[int, T]]:
         """As many at once as keep all workers busy: what waits takes memory, that of a scheduler too."""
@@ -127,6 +140,12 @@ class Workers:
                 return
             for done in wait(running, return_when=FIRST_COMPLETED).done:
                 yield running.pop(done), done.result()
+
+    def _lost(self) -> ExecutorError:
+        return ExecutorError(
+            f"worker processes ended {LOSSES} times in a row before they had finished, most often for want of memory: "
+            f"there were {self.count} of them; set executor.workers to fewer"
+        )
 
     def _open(self) -> Executor:
         if self._executor is None:
