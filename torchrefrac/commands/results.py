@@ -3,8 +3,9 @@ that no run has written."""
 
 import os
 import shutil
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
+from itertools import count, takewhile
 from pathlib import Path
 
 from torchrefrac.commands.dense_outputs import depth_map_files
@@ -17,6 +18,8 @@ from torchrefrac.record.recorders import EVENTS, LOG
 
 MODEL, WATER, REPORT, OPTIONS = "colmap", "water.json", "report.html", ".hydra"
 RESULTS = ("features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png")
+FURTHER, SCENE_FILES = "reconstructions", ("cameras.json", "points.ply", "tracks.npz")
+"""Of a run that falls into several: the metric that has them, and what is written of each beside the largest."""
 OF_ADJUST = (WATER, *(f"{MODEL}/{stem}{end}" for stem in STEMS for end in (".txt", ".bin")))
 ABOUT = (METRICS, REPORT, LOG, EVENTS, OPTIONS, WORK)  # what a folder without results may hold where nobody works
 OWN_FOLDERS = (DEPTH_MAPS, MODEL, EVENTS, OPTIONS, WORK, PARTIAL)
@@ -138,7 +141,19 @@ def _dense_results(folder: Path) -> list[str]:
 
 def _results(folder: Path, adjusted: bool) -> list[str]:
     """The names of all results that lie in a folder."""
-    return [*_present(folder, (*RESULTS, *(OF_ADJUST if adjusted else ()))), *_dense_results(folder)]
+    own = (*RESULTS, *(OF_ADJUST if adjusted else ()))
+    return [*_present(folder, own), *further_results(folder), *_dense_results(folder)]
+
+
+def further_folders(folder: Path) -> Iterator[Path]:
+    """Of reconstructions beside the largest, which are numbered from 2."""
+    return (folder / f"reconstruction_{number}" for number in count(2))
+
+
+def further_results(folder: Path) -> list[str]:
+    """The files of these that lie in the folder of a run."""
+    there = takewhile(Path.is_dir, further_folders(folder))
+    return [f"{place.name}/{name}" for place in there for name in _present(place, SCENE_FILES)]
 
 
 def _about(folder: Path) -> list[str]:

@@ -13,10 +13,11 @@ from torch import Tensor
 from torchrefrac.atomic import replacing
 from torchrefrac.commands.dense_outputs import remove_dense_outputs
 from torchrefrac.commands.memory import memory_lack_explained
-from torchrefrac.commands.results import REPORT, RESULTS, require_own
+from torchrefrac.commands.results import FURTHER, REPORT, RESULTS, further_folders, further_results, require_own
 from torchrefrac.figures.side_views import draw_side_views, side_view
 from torchrefrac.files.cameras import write_cameras, write_points
 from torchrefrac.files.run import METRICS, RunRecord
+from torchrefrac.files.swap import remove_if_empty
 from torchrefrac.files.tracks import write_tracks
 from torchrefrac.geometry import Similarity
 from torchrefrac.record.memory import forget_peak_memory, peak_memory_gib
@@ -43,8 +44,9 @@ class RunFolder:
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         require_own(self.folder)
-        for name in (*RESULTS, REPORT):
+        for name in (*RESULTS, *further_results(self.folder), REPORT):
             (self.folder / name).unlink(missing_ok=True)
+            remove_if_empty((self.folder / name).parent, self.folder)
         remove_dense_outputs(self.folder)
         self.metrics = {"status": "running", "stages": [], **about}
         self.save_metrics()
@@ -84,10 +86,10 @@ class RunFolder:
             matches = {f"matches_{pair.first:04d}_{pair.second:04d}": pair.matches for pair in pairs}
             _write_arrays(matches, self.folder / "matches.npz")
         elif name == "sparse":
-            write_cameras(product, self.folder / "cameras.json")
-            about = product.assessment, product.dry
-            write_points(product.points, product.colors, self.folder / "points.ply", *about)
-            write_tracks(product, self.folder / "tracks.npz")
+            _write_scene(product, self.folder)
+            for scene, folder in zip(product.further, further_folders(self.folder), strict=False):
+                _write_scene(scene, folder)
+                self.metrics.setdefault(FURTHER, {})[folder.name] = len(scene.views)
         self.metrics["stages"].append(name)
         self.metrics[f"seconds_{name}"] = round(seconds, 3)
         self.save_metrics()
@@ -126,6 +128,13 @@ class RunFolder:
         if memory is not None:
             self.metrics["peak_memory_gib"] = round(memory, 3)
         self.save_metrics()
+
+
+def _write_scene(scene: Scene, folder: Path) -> None:
+    """Into a folder, which is made where there is none."""
+    write_cameras(scene, folder / "cameras.json")
+    write_points(scene.points, scene.colors, folder / "points.ply", scene.assessment, scene.dry)
+    write_tracks(scene, folder / "tracks.npz")
 
 
 def read_record(folder: Path) -> RunRecord:

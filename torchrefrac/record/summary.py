@@ -107,6 +107,10 @@ def reconstruction_lines(metrics: Mapping[str, Any]) -> list[str]:
             f"{metrics['points_outside_water']} {place.below} it, but outside the water"
         )
     lines += [f"not registered: {name} {reason}" for name, reason in metrics.get("not_registered", {}).items()]
+    lines += [
+        f"{count} images are a reconstruction of their own, in {name}/, which nothing joins with the others"
+        for name, count in metrics.get("reconstructions", {}).items()
+    ]
     if metrics["gravity"] == "estimated":
         lines.append(
             "gravity was estimated from the refraction; the verticals are determined to "

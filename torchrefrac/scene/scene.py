@@ -155,6 +155,8 @@ class Scene:
     support a placed point in a registered view. failures: why a view is not registered, by name. findings: what the
     images say against what was stated. capture: the photographs of the views, in their order, where they are at hand.
     georeference: where the scene's own frame stands on Earth, its origin in the water's surface, where that is known.
+    further: reconstructions of views that are not registered here, as nothing joins them with those that are, each in a
+    frame of its own.
 
     Raises SceneError where shapes do not fit together, an index is out of range or observations do not ascend.
     """
@@ -174,6 +176,7 @@ class Scene:
     findings: tuple[Finding, ...] = ()
     capture: Capture | None = None
     georeference: Georeference | None = None
+    further: tuple["Scene", ...] = ()
 
     @classmethod
     def of_capture(
