@@ -8,7 +8,7 @@ images, with NOISE px; pairs are those that overlap most by their positions, so 
 their matches WRONG are wrong. Positions are known to 2 and 3 cm, gravity to half a degree. Each flight has a process
 of its own, on one core. Printed are seconds of the processor for each stage, the largest memory, how many views are
 registered, how far cameras are from the truth (root mean square, in the frame of the positions), and as which power of
-the number of views the seconds of the whole grow. `--views 1000` takes half an hour.
+the number of views the seconds of the whole grow. `--views 1000` takes twenty minutes.
 """
 
 import os
