@@ -12,7 +12,7 @@ with kornia's warps and its remap on the windows of patches.
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ import torchrefrac as tr
 from torchrefrac.dense.growth import Cells, grow
 from torchrefrac.dense.images import Images
 from torchrefrac.dense.neighbours import find_neighbours
-from torchrefrac.dense.options import DenseOptions
+from torchrefrac.dense.options import DenseOptions, Method
 from torchrefrac.dense.patches import Patches, Planes
 from torchrefrac.dense.refine import refine
 from torchrefrac.dense.scope import scopes
@@ -34,7 +34,7 @@ from torchrefrac.dense.seeds import sparse_seeds
 from torchrefrac.dense.window import Window
 from torchrefrac.files.library import embedded_scene
 
-METHODS = ("patch", "depthmap")
+METHODS: tuple[Method, ...] = ("patch", "depthmap")
 OFF_PIXELS, OFF_NORMAL = 1.5, 0.2  # by which the guesses of the speed test miss, standard deviations
 PATCHES = 16384
 HEADER = (
@@ -100,7 +100,7 @@ def sampling(count: int = 2000) -> None:
     figure("grid_sample, to kornia.warp_affine", rates["grid_sample"] / rates["kornia.warp_affine"], "x", "higher", 0.2)
 
 
-def stage(folder: Path, methods: list[str]) -> None:
+def stage(folder: Path, methods: Sequence[Method]) -> None:
     """The dense stage of a sparse reconstruction, in one process."""
     scene = tr.reconstruct(tr.load_capture(folder))
     for method in methods:
@@ -145,7 +145,7 @@ def patches(folder: Path) -> None:
         figure(f"adjusting in up to {views} other images", rate, "patches/s", "higher", 0.2)
 
 
-def runs(folder: Path, methods: list[str], models: list[str]) -> None:
+def runs(folder: Path, methods: Sequence[Method], models: list[str]) -> None:
     """Whole runs, sparse and dense."""
     print(HEADER)
     for method in methods:

@@ -22,7 +22,6 @@ from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.window import Window
 from torchrefrac.optim.batched import Quadratic, solve_damped
 
-LAST_STEP = 0.15  # pixels in the other images: a step by less is the last, and nobody looks where it leads
 DAMPING = 1e-4
 MIN_SCALE = 0.4  # of an image against the reference: one that shows the surface smaller than this is not compared
 
@@ -114,7 +113,7 @@ class Attempts:
         damping = torch.where(better, 0.1, 10.0) * self.damping
         step = solve_damped(model, damping)
         reach = torch.where(agreement.usable, agreement.motion, 0.0).amax(dim=1) * step.abs().amax(dim=1)
-        small = (reach < LAST_STEP) & (step.any(dim=-1) | ~model.gradient.any(dim=-1))
+        small = (reach < options.last_step) & (step.any(dim=-1) | ~model.gradient.any(dim=-1))
         exhausted = self.passes >= options.iterations
         last = small | exhausted | self.ending
         taken = ~last | (small & better & ~exhausted & ~self.ending)

@@ -1,6 +1,7 @@
 """The patches of views that were each filled on their own as one surface, and which of these contradict others: they
 hide what is seen through them, or stand alone, one or few (PMVS's filters)."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ SAME_REACH = 3.0  # cells within which the patch of another view must lie to be 
 NEAREST = 12  # patches around one that it is judged by
 REACH = 4.0  # cells within which these must lie
 ISLAND = 30  # patches; fewer that hang together, away from all others, are a mistake that grew
+AT_ONCE = 1 << 15  # patches whose neighbours are looked at: those of all would take several times their memory
 THICKNESS = 4.0  # footprints within which two patches in one line of sight are the same surface
 
 
@@ -94,13 +96,18 @@ def supported(patches: Patches, cell: int) -> Bool[Tensor, " n"]:
     count = len(patches)
     if count <= NEAREST:
         return torch.ones_like(patches.score, dtype=torch.bool)
-    index, near = _neighbours(patches, cell)
-    offset = patches.points[index] - patches.points[:, None]
-    tolerance = patches.thickness[:, None]
+    return torch.cat([_agreeing(patches, *part) > NEAREST // 2 for part in _neighbours(patches, cell)])
+
+
+def _agreeing(
+    patches: Patches, rows: Int[Tensor, " k"], index: Int[Tensor, "k nearest"], near: Bool[Tensor, "k nearest"]
+) -> Int[Tensor, " k"]:
+    """How many of the neighbours of some patches lie on their planes, and they on theirs."""
+    offset = patches.points[index] - patches.points[rows, None]
+    tolerance = patches.thickness[rows, None]
     theirs = (offset * patches.normals[index]).sum(dim=-1).abs()
-    ours = (offset * patches.normals[:, None]).sum(dim=-1).abs()
-    agree = near & (theirs < tolerance) & (ours < 2.0 * tolerance)
-    return agree.sum(dim=1) > NEAREST // 2
+    ours = (offset * patches.normals[rows, None]).sum(dim=-1).abs()
+    return (near & (theirs < tolerance) & (ours < 2.0 * tolerance)).sum(dim=1)
 
 
 def of_surfaces(patches: Patches, cell: int) -> Bool[Tensor, " n"]:
@@ -108,18 +115,22 @@ def of_surfaces(patches: Patches, cell: int) -> Bool[Tensor, " n"]:
     count = len(patches)
     if count <= NEAREST:
         return torch.ones_like(patches.score, dtype=torch.bool)
-    index, near = _neighbours(patches, cell)
-    island = components(near.nonzero()[:, 0], index[near], count)
+    pairs = [(rows[near.nonzero()[:, 0]].int(), index[near].int()) for rows, index, near in _neighbours(patches, cell)]
+    island = components(*(torch.cat(ends) for ends in zip(*pairs, strict=True)), count)
     size = torch.bincount(island)
     return size[island] >= min(ISLAND, int(size.max()))
 
 
-def _neighbours(patches: Patches, cell: int) -> tuple[Int[Tensor, "n nearest"], Bool[Tensor, "n nearest"]]:
-    """The nearest others of each, and which of them are near."""
+def _neighbours(
+    patches: Patches, cell: int
+) -> Iterator[tuple[Int[Tensor, " k"], Int[Tensor, "k nearest"], Bool[Tensor, "k nearest"]]]:
+    """Some patches after the other, the nearest others of each, and which of these are near."""
     points = patches.points.numpy()
-    distance, index = (np.asarray(found) for found in KDTree(points).query(points, k=NEAREST + 1, workers=1))
-    near = torch.from_numpy(distance[:, 1:]) < REACH * cell * patches.footprint[:, None]
-    return torch.from_numpy(np.ascontiguousarray(index[:, 1:])), near
+    tree = KDTree(points)
+    for rows in torch.arange(len(points)).split(AT_ONCE):
+        distance, index = (np.asarray(found) for found in tree.query(points[rows], k=NEAREST + 1, workers=1))
+        near = torch.from_numpy(distance[:, 1:]) < REACH * cell * patches.footprint[rows, None]
+        yield rows, torch.from_numpy(np.ascontiguousarray(index[:, 1:])), near
 
 
 def unobstructing(patches: Patches, cameras: RefractiveCamera, cell: int) -> Bool[Tensor, " n"]:

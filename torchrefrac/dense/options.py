@@ -24,6 +24,7 @@ RANGES = {
     "max_sigma": Range(above=0.0, at_most=1e6),
     "loss_scale": Range(above=0.0, at_most=1e6),
     "iterations": Range(at_least=0, at_most=1_000_000),
+    "last_step": Range(above=0.0, at_most=1e6),
 }
 
 
@@ -55,7 +56,8 @@ class DenseOptions:
     angle_best and angle_max: between the rays of two images. max_slant: of a patch against the viewing ray.
     min_contrast: a window's standard deviation; noise: the least that is assumed of an image. max_sigma: of a patch
     along its ray, as the shift that it makes in the other images. loss_scale: of 1 - ZNCC, where an image begins to
-    count less. levels: sizes of each image, every one half of the one before. iterations: of a patch's adjustment.
+    count less. levels: sizes of each image, every one half of the one before. iterations: of a patch's adjustment,
+    which ends with a step that moves it by less than last_step pixels in the other images.
     batch: patches refined at once. max_tile: pixels across of what is worked on at once, for large images. device:
     where the work is done, see `device_of`.
 
@@ -80,6 +82,7 @@ class DenseOptions:
     loss_scale: float = 0.3
     levels: int = 3
     iterations: int = 6
+    last_step: float = 0.15
     batch: int = 2048
     max_tile: int = 2048
     device: str = AUTO
