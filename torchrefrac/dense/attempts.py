@@ -128,7 +128,7 @@ class Attempts:
         """With the images of the scope."""
         return Comparison(
             atlas=scope.atlas,
-            window=Window(options.window),
+            window=Window.across(options.window),
             cameras=scope.cameras,
             rays=self.corners,
             reference=self.reference,

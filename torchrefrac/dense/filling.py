@@ -22,6 +22,7 @@ from torchrefrac.dense.sweeping.sweep import sweep
 from torchrefrac.recorder import Recorder
 
 STEP = 1 << 14  # cells of a sweep that are refined before they are reported
+CAREFUL = 0.5  # of the last step of an adjustment, where it begins from a sweep's guesses, which are farther off
 HOME = torch.device("cpu")
 
 
@@ -143,6 +144,7 @@ def grow_patches(scope: Scope, cells: Cells, known: Patches, options: DenseOptio
 def sweep_planes(scope: Scope, cells: Cells, known: Patches, options: DenseOptions) -> Iterator[Patches]:
     """From a plane sweep over all distances, and outwards from what it finds. Cells that show what `maps` other views
     have found already get no patch."""
+    options = replace(options, last_step=CAREFUL * options.last_step)
     cover_repeated(scope, cells, known, options.maps)
     pixels, planes, _ = sweep(scope, options)
     at, inside = cells.index(pixels)

@@ -55,7 +55,7 @@ def attempt(
 ) -> Attempts:
     """Begin with those of n guesses, numbered, that can be compared: within reach, with texture, and with images that
     see them."""
-    window = Window(options.window)
+    window = Window.across(options.window)
     here = torch.zeros_like(number)
     reference, contrast = unit_windows(scope.atlas, here, here, pixels, window)
     rays = PixelRays.cast(scope.cameras[0], pixels)
@@ -81,7 +81,7 @@ def compare(
 ) -> tuple[Float[Tensor, " n"], Bool[Tensor, " n"]]:
     """How well planes (n) at reference pixels look the same in one other image each, as they are, and which do so well
     enough to be believed of surfaces that are known."""
-    window = Window(options.window)
+    window = Window.across(options.window)
 
     def compared(rows: slice) -> tuple[Float[Tensor, " b"], Bool[Tensor, " b"]]:
         here, (points, normals) = torch.zeros_like(image[rows]), planes[rows]

@@ -7,7 +7,7 @@ warp's curvature, which no affinity follows, then shifts the window as a whole b
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import torch
 from jaxtyping import Float
@@ -22,6 +22,12 @@ class Window:
 
     size: int = 7
     spacing: float = 1.0
+
+    @classmethod
+    @lru_cache(maxsize=16)
+    def across(cls, size: int) -> "Window":
+        """The same one each time for so many pixels, whose numbers are worked out once."""
+        return cls(size)
 
     @cached_property
     def offsets(self) -> Float[Tensor, "k 2"]:
