@@ -1,5 +1,6 @@
 """Which pixels look past the water, and what each medium is made dense of."""
 
+import pickle
 from dataclasses import replace
 
 import pytest
@@ -86,3 +87,12 @@ def test_the_second_medium_has_a_place_of_its_own_in_a_store():
     assert kept == {7: "patches"}
     assert PartOfStore(kept, 5).load(2) == "patches"
     assert PartOfStore(kept, 5).load(1) is None
+
+
+def test_what_an_image_sees_is_the_same_in_another_process(scene):
+    for medium in media_of(scene):
+        assert medium.where is not None
+
+        sent = pickle.loads(pickle.dumps(medium.where))
+
+        assert torch.equal(sent(1), medium.where(1))

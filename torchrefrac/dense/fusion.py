@@ -115,8 +115,11 @@ def of_surfaces(patches: Patches, cell: int) -> Bool[Tensor, " n"]:
     count = len(patches)
     if count <= NEAREST:
         return torch.ones_like(patches.score, dtype=torch.bool)
-    pairs = [(rows[near.nonzero()[:, 0]].int(), index[near].int()) for rows, index, near in _neighbours(patches, cell)]
-    island = components(*(torch.cat(ends) for ends in zip(*pairs, strict=True)), count)
+    pairs = [
+        torch.stack((rows[near.nonzero()[:, 0]], index[near])).int() for rows, index, near in _neighbours(patches, cell)
+    ]
+    first, second = torch.cat(pairs, dim=1)
+    island = components(first, second, count)
     size = torch.bincount(island)
     return size[island] >= min(ISLAND, int(size.max()))
 

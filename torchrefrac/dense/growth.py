@@ -75,7 +75,8 @@ class Cells:
         where it is better or nearer than what was tried before, and nothing is under way."""
         changed, self._changed = torch.cat([self.tries[:0], *self._changed]), []
         near = torch.zeros_like(self.filled)
-        around = (changed[:, None] + self.steps @ self.steps.new_tensor((self.columns, 1))).clamp(0, len(near) - 1)
+        steps = self.steps[:, 0] * self.columns + self.steps[:, 1]
+        around = (changed[:, None] + steps).clamp(0, len(near) - 1)
         near.index_fill_(0, torch.cat((changed, around.flatten())), value=True)  # and some across the border
         cells = (near & ~self.filled & ~self.busy & (self.tries < TRIES)).nonzero()[:, 0]
         around, inside = self._around(cells)
