@@ -75,8 +75,8 @@ def _flight(cache: Path | None) -> Path:
     from torchrefrac.synthetic.scenes import RiverbedOptions  # noqa: PLC0415
 
     camera, sensor = CameraOptions(width=800, height=600, fov_deg=65.0), SensorOptions(samples=2)
-    size = {"columns": SIDE, "rows": SIDE, "obliques": 0, "overlap": 0.7}
-    return made_scene(RiverbedOptions(name=f"river{SIDE * SIDE}", camera=camera, sensor=sensor, **size), cache)
+    about: dict[str, Any] = {"camera": camera, "sensor": sensor, "columns": SIDE, "rows": SIDE, "obliques": 0}
+    return made_scene(RiverbedOptions(name=f"river{SIDE * SIDE}", overlap=0.7, **about), cache)
 
 
 def _corner(flight: Path, rows: int, columns: int, folder: Path) -> None:

@@ -66,8 +66,8 @@ def _river(count: int, cache: Path | None) -> Path:
 
     rows = math.isqrt(count)
     camera, sensor = CameraOptions(width=1024, height=768, fov_deg=65.0), SensorOptions(samples=2)
-    size = {"columns": -(-count // rows), "rows": rows, "obliques": 0}
-    return made_scene(RiverbedOptions(name=f"river{count}", camera=camera, sensor=sensor, **size), cache)
+    about: dict[str, Any] = {"camera": camera, "sensor": sensor, "rows": rows, "obliques": 0}
+    return made_scene(RiverbedOptions(name=f"river{count}", columns=-(-count // rows), **about), cache)
 
 
 def _ours(folder: Path) -> dict[str, Any]:
