@@ -18,6 +18,7 @@ from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.cli.composed import densify_options
 from torchrefrac.cli.conf import CONF
 from torchrefrac.commands import dense_outputs, run_folder
+from torchrefrac.commands import densify as densification
 from torchrefrac.config import DensifyOptions, OptionError, Options, build
 from torchrefrac.dense import DenseOptions, FolderStore
 from torchrefrac.files.capture import load_capture
@@ -160,6 +161,14 @@ def test_an_interrupted_command_goes_on_with_what_is_finished(torchrefrac, place
     assert "reason" not in metrics(run)
     assert "with 1 image from before" in ended.out.replace("\n  ", " ")
     assert not (run / "dense" / "parts").exists()
+
+
+def test_processes_leave_the_same_cloud(torchrefrac, place, dense_run, monkeypatch):
+    monkeypatch.setattr(densification, "MANY_VIEWS", 2)
+
+    assert torchrefrac("densify", "run=run", "executor.workers=2", *QUICK).status == 0
+
+    assert (place / "run" / "dense.ply").read_bytes() == (dense_run / "dense.ply").read_bytes()
 
 
 def test_an_interrupted_command_on_a_run_that_was_not_dense_says_so(torchrefrac, place, interrupt, metrics):
