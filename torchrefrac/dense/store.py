@@ -1,8 +1,5 @@
 """Finished views of a dense reconstruction, stored so that an interrupted one goes on where it stopped."""
 
-import hashlib
-import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -15,6 +12,7 @@ from torchrefrac.checks import TorchrefracError
 from torchrefrac.dense.images import photographs
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
+from torchrefrac.files.fingerprint import fingerprint_of
 from torchrefrac.files.masks import MASKS
 from torchrefrac.files.npz import read_arrays, write_arrays
 from torchrefrac.scene import Capture, Scene
@@ -119,20 +117,16 @@ def _drawn(capture: Capture) -> list[Float[Tensor, "..."]]:
 
 
 def fingerprint(scene: Scene, options: DenseOptions) -> str:
-    """A hash of all that decides the patches: poses, intrinsics, water, points, options, image files and masks."""
-    digest = hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode())
+    """That of all that decides the patches: poses, intrinsics, water, points, options, image files and masks."""
     views, cameras, interfaces, seen = scene.views, scene.cameras, scene.interfaces, scene.observations
     capture = photographs(scene)
-    for tensor in (
-        *(views.registered, views.rotation, views.center, scene.points, seen.view, seen.point, seen.pixels),
-        *(cameras.focal, cameras.principal_point, cameras.distortion),
-        *(getattr(interfaces, name) for name in TENSORS),
-        *(() if scene.dry is None else (scene.dry,)),
-        *_drawn(capture),
-    ):
-        digest.update(tensor.contiguous().numpy().tobytes())
-    digest.update(repr((cameras.sizes, cameras.models, views.camera.tolist())).encode())
-    for path in (*capture.paths, *sorted((capture.folder / MASKS).glob("**/*.png"))):
-        stat = path.stat()
-        digest.update(repr((path.name, stat.st_size, stat.st_mtime_ns)).encode())
-    return digest.hexdigest()
+    return fingerprint_of(
+        options,
+        (views.registered, views.rotation, views.center, views.camera),
+        (scene.points, scene.dry, seen.view, seen.point, seen.pixels),
+        (cameras.focal, cameras.principal_point, cameras.distortion, cameras.sizes, cameras.models),
+        [getattr(interfaces, name) for name in TENSORS],
+        _drawn(capture),
+        capture.paths,
+        sorted((capture.folder / MASKS).glob("**/*.png")),
+    )

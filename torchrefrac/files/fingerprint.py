@@ -15,7 +15,8 @@ LENGTH = 16
 
 def fingerprint_of(*things: Any) -> str:
     """Hexadecimal digits that are the same for things that are the same: numbers, texts, arrays, and dataclasses,
-    mappings and sequences of them. Of a path of a file its size and time of change count too.
+    mappings and sequences of them. Of a path the name counts, wherever it lies, and of a file its size and time of
+    change.
 
     Raises ValueError for something that is none of these.
     """
@@ -30,7 +31,7 @@ def _take(digest: "hashlib._Hash", thing: Any) -> None:
     if thing is None or isinstance(thing, str | bytes | bool | int | float | Enum):
         digest.update(repr(thing).encode())
     elif isinstance(thing, Path):
-        digest.update(repr(str(thing)).encode())
+        digest.update(repr(thing.name).encode())
         if thing.is_file():
             stat = thing.stat()
             digest.update(repr((stat.st_size, stat.st_mtime_ns)).encode())
