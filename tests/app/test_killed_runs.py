@@ -54,9 +54,24 @@ def test_a_run_that_loses_workers_ends_with_the_same_cameras(undisturbed):
     assert _cameras(undisturbed / "robbed") == _cameras(undisturbed / "calm")
 
 
-def _begun(folder, out):
-    """The run, in a process of its own with two workers."""
-    command = [sys.executable, "-m", "torchrefrac", *SCENE, *CAMERA, "executor.workers=2", "report=false", f"out={out}"]
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of a cluster that loses a worker
+def test_a_run_by_a_cluster_that_loses_a_worker_ends_with_the_same_cameras(undisturbed, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    where = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None, "local_directory": str(tmp_path)}
+    with distributed.LocalCluster(**where) as cluster:
+        process = _begun(undisturbed, "cluster", "executor=dask", f"executor.address={cluster.scheduler_address}")
+        _wait_until(lambda: _parts("matching", 3)(undisturbed / "cluster"), process)
+        os.kill(cluster.workers[0].process.pid, signal.SIGKILL)
+        assert process.wait(PATIENCE_S) == 0
+
+    assert _cameras(undisturbed / "cluster") == _cameras(undisturbed / "calm")
+
+
+def _begun(folder, out, *executor):
+    """The run, in a process of its own, by default with two workers."""
+    how = executor or ("executor.workers=2",)
+    command = [sys.executable, "-m", "torchrefrac", *SCENE, *CAMERA, *how, "report=false", f"out={out}"]
     about = os.environ | {"TORCHREFRAC_CACHE": str(folder / "cache"), "OMP_NUM_THREADS": "1"}
     with (folder / f"{out}.log").open("a", encoding="utf-8") as log:
         return subprocess.Popen([*command, "quiet=true"], cwd=folder, env=about, stderr=log, stdout=log)
