@@ -18,6 +18,13 @@ def replacing(path: Path) -> Generator[Path, None, None]:
         temporary.unlink(missing_ok=True)
 
 
+def remove_unfinished(folder: Path, pattern: str = "") -> None:
+    """Remove what `replacing` leaves in a folder, and with the pattern "**/" in those inside, where a process is killed
+    while it writes; for whoever works there alone."""
+    for path in folder.glob(f"{pattern}.*.partial.*"):
+        path.unlink(missing_ok=True)
+
+
 @contextmanager
 def passing(path: Path) -> Generator[Path, None, None]:
     """The name of a file that is needed within the block alone."""

@@ -71,6 +71,8 @@ def test_clearing_removes_parts_alone(tmp_path, done):
     assert [path for path in (tmp_path / "work").rglob("*") if path.is_file()] == [other]
     other.unlink()
     _all(work, done)
+    (place,) = (tmp_path / "work").iterdir()
+    (place / ".part_000007.123.partial.npz").touch()  # of a process that was killed while it wrote
     work.clear()
     assert not (tmp_path / "work").exists()
 

@@ -109,7 +109,7 @@ class Attempts:
         moved = self.step.any(dim=-1) | (self.passes == 0)
         better = (moved & (tried.cost <= self.model.cost)) | self.ending
         states = torch.where(better[:, None], self.states + self.step, self.states)
-        model = _chosen(better, tried, self.model)
+        model = tried.where(better, self.model)
         damping = torch.where(better, 0.1, 10.0) * self.damping
         step = solve_damped(model, damping)
         reach = torch.where(agreement.usable, agreement.motion, 0.0).amax(dim=1) * step.abs().amax(dim=1)
@@ -159,12 +159,3 @@ def joined(tables: Sequence[Any]) -> Any:
     if isinstance(tables[0], PixelRays):
         return PixelRays.together(tables)
     return type(tables[0])(*(joined(parts) for parts in zip(*tables, strict=True)))
-
-
-def _chosen(first: Bool[Tensor, " n"], one: Quadratic, other: Quadratic) -> Quadratic:
-    """The one where it is `first`, the other elsewhere."""
-    return Quadratic(
-        torch.where(first, one.cost, other.cost),
-        torch.where(first[:, None], one.gradient, other.gradient),
-        torch.where(first[:, None, None], one.hessian, other.hessian),
-    )

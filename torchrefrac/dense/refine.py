@@ -69,11 +69,18 @@ def attempt(
     image, present = choose_views(scope, rays[rows].at(distance[rows]), options)
     enough = (present.sum(dim=1) >= fewest_others(scope, options)).nonzero()[:, 0]
     rows, image, present = rows[enough], image[enough], present[enough]
-    corners = PixelRays.cast(scope.cameras[0], pixels[rows, None] + window.corners.to(pixels))
-    distances = corners.meet(planes.points[rows, None], planes.normals[rows, None])
-    states = distances @ torch.linalg.inv(window.basis).T.to(distances)
+    corners, states = _at_corners(scope, pixels[rows], planes[rows], window)
     subjects = Subjects(pixels[rows], rays[rows], contrast[rows])
     return Attempts.begun(number[rows], subjects, corners, reference[rows], image, present, states)
+
+
+def _at_corners(
+    scope: Scope, pixels: Float[Tensor, "n 2"], planes: Planes, window: Window
+) -> tuple[PixelRays, Float[Tensor, "n 3"]]:
+    """The rays of the corners of windows at reference pixels, and the states of planes there."""
+    corners = PixelRays.cast(scope.cameras[0], pixels[:, None] + window.corners.to(pixels))
+    distances = corners.meet(planes.points[:, None], planes.normals[:, None])
+    return corners, distances @ torch.linalg.inv(window.basis).T.to(distances)
 
 
 def compare(
@@ -86,9 +93,7 @@ def compare(
     def compared(rows: slice) -> tuple[Float[Tensor, " b"], Bool[Tensor, " b"]]:
         here, (points, normals) = torch.zeros_like(image[rows]), planes[rows]
         f, contrast = unit_windows(scope.atlas, here, here, pixels[rows], window)
-        corners = PixelRays.cast(scope.cameras[0], pixels[rows, None] + window.corners.to(pixels))
-        distances = corners.meet(points[:, None], normals[:, None])
-        states = distances @ torch.linalg.inv(window.basis).T.to(distances)
+        corners, states = _at_corners(scope, pixels[rows], planes[rows], window)
         zncc, usable, scale = correlations(
             scope.cameras, scope.atlas, corners, f, states, image[rows, None], window, matching_levels=True
         )

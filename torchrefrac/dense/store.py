@@ -7,14 +7,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.atomic import replacing
-from torchrefrac.checks import TorchrefracError
+from torchrefrac.atomic import remove_unfinished, replacing
 from torchrefrac.dense.images import photographs
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.files.fingerprint import fingerprint_of
 from torchrefrac.files.masks import MASKS
 from torchrefrac.files.npz import read_arrays, write_arrays
+from torchrefrac.files.work import DamagedPartError
 from torchrefrac.scene import Capture, Scene
 from torchrefrac.scene.interfaces import TENSORS
 
@@ -23,10 +23,6 @@ ARRAYS = {
     **{"score": "f:n", "others": "i:nv", "visible": "b:nv"},
 }
 """Of patches, as `read_arrays` takes them."""
-
-
-class DamagedPartError(TorchrefracError, ValueError):
-    """The patches of a view cannot be read; they are found again."""
 
 
 class Store(Protocol):
@@ -74,6 +70,7 @@ class FolderStore:
 
     def clear(self) -> None:
         """Remove all files, and the folder."""
+        remove_unfinished(self.folder)
         for path in (*self.folder.glob("patches_*.npz"), self.folder / "made_from.txt"):
             path.unlink(missing_ok=True)
         if self.folder.is_dir() and not any(self.folder.iterdir()):

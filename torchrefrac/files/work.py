@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from torchrefrac.atomic import replacing
+from torchrefrac.atomic import remove_unfinished, replacing
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.files.fingerprint import fingerprint_of
 from torchrefrac.files.npz import DAMAGE, Array, read_arrays, write_arrays
@@ -76,6 +76,7 @@ class Work:
             return
         for place in self.folder.iterdir():
             if place.is_dir() and OWN.fullmatch(place.name):
+                remove_unfinished(place)
                 for path in place.iterdir():
                     if PART.fullmatch(path.name):
                         path.unlink(missing_ok=True)

@@ -21,6 +21,14 @@ class Quadratic(NamedTuple):
     gradient: Float[Tensor, "k d"]
     hessian: Float[Tensor, "k d d"]
 
+    def where(self, these: Bool[Tensor, " k"], other: "Quadratic") -> "Quadratic":
+        """Of some problems this one, of the rest the other."""
+        return Quadratic(
+            torch.where(these, self.cost, other.cost),
+            torch.where(these[:, None], self.gradient, other.gradient),
+            torch.where(these[:, None, None], self.hessian, other.hessian),
+        )
+
 
 class SmallProblems(Protocol):
     """K problems whose states are rows of D numbers, to which steps are added."""
@@ -92,11 +100,7 @@ def minimize_each(
         tried = problems.linearize(states + step)
         better = solved & tried.cost.isfinite() & (tried.cost <= current.cost) & ~done
         states = torch.where(better[:, None], states + step, states)
-        current = Quadratic(
-            torch.where(better, tried.cost, current.cost),
-            torch.where(better[:, None], tried.gradient, current.gradient),
-            torch.where(better[:, None, None], tried.hessian, current.hessian),
-        )
+        current = tried.where(better, current)
         damp = torch.where(better, 0.1 * damp, 10.0 * damp)
         stalled = stalled | (~done & (damp > max_damping))
     report = SmallReport(states, current, converged, stalled)

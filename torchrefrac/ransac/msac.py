@@ -318,10 +318,10 @@ def _batch(
     models, owner = models[valid], of_sample.to(valid.device)[valid.nonzero()[:, 0]]
     if not len(models):
         return
-    first = _first_of_each(_scores(estimators, models, owner, rows, options), owner, options.leaders)
+    first = _lowest_of_each(_scores(estimators, models, owner, rows, options), owner, options.leaders)
     owner = owner[first]
     leaders, costs = estimators.optimize(models[first], owner, options.max_error, rows, thorough=False)
-    best = _first_of_each(costs, owner, 1)
+    best = _lowest_of_each(costs, owner, 1)
     by_problem = {search.problem: search for search in searches}
     better = []
     for row, problem, cost in zip(best.tolist(), owner[best].tolist(), costs[best].tolist(), strict=True):
@@ -357,7 +357,7 @@ def _scores(
     )
 
 
-def _first_of_each(costs: Float[Tensor, " k"], owner: Int[Tensor, " k"], count: int) -> Int[Tensor, " some"]:
+def _lowest_of_each(costs: Float[Tensor, " k"], owner: Int[Tensor, " k"], count: int) -> Int[Tensor, " some"]:
     """The rows of the lowest costs of each problem, at most so many, by problem and cost. owner ascends."""
     order = costs.argsort(stable=True)
     order = order[owner[order].argsort(stable=True)]

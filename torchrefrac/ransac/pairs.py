@@ -12,9 +12,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt
-from torchrefrac.minimal.known_heading import unchecked_relative_pose_3pt
-from torchrefrac.ransac.pose import RelativePoseEstimator, level_rays, optimized
+from torchrefrac.ransac.pose import RelativePoseEstimator, level_rays, optimized, relative_models
 from torchrefrac.refinement import TwoViews
 
 IN_CACHE = 1 << 15
@@ -51,7 +49,7 @@ class RelativePoseEstimators:
         self._rays = tuple(
             level_rays(plane, self._table.cam_from_level[:, k]) for k, plane in enumerate((plane1, plane2))
         )
-        self._tables: dict[tuple[int | None, torch.dtype], TwoViews] = {}
+        self._tables: dict[tuple[int, torch.dtype], tuple[Rows, TwoViews]] = {}
 
     @property
     def sample_size(self) -> int:
@@ -71,16 +69,9 @@ class RelativePoseEstimators:
     def solve(
         self, samples: Int[Tensor, "s size"], owner: Int[Tensor, " s"]
     ) -> tuple[Float[Tensor, "s m 8"], Bool[Tensor, "s m"]]:
-        rays1, rays2 = (rays[owner[:, None], samples] for rays in self._rays)
-        index, height = self._table.index_ratio, self._table.height
-        if self._table.known_heading is None:
-            heading, center, valid = unchecked_relative_pose_4pt(rays1, rays2, index, height)
-        else:
-            heading = rays1.new_tensor(self._headings)[owner, None]
-            center, valid = unchecked_relative_pose_3pt(rays1, rays2, heading[:, 0], index, height)
-            center, valid = center[:, None], valid[:, None]
-        tilts = torch.zeros_like(heading)[..., None].expand(*heading.shape, 4)
-        return torch.cat((tilts, heading[..., None], center), dim=-1), valid
+        one, two = (rays[owner[:, None], samples] for rays in self._rays)
+        known = None if self._table.known_heading is None else one.new_tensor(self._headings)[owner]
+        return relative_models(one, two, known, self._table)
 
     def squared_errors(
         self, models: Float[Tensor, "k 8"], owner: Int[Tensor, " k"], rows: Rows
@@ -110,12 +101,13 @@ class RelativePoseEstimators:
 
     def _matches(self, rows: Rows, dtype: torch.dtype) -> TwoViews:
         """Those `rows` of each pair, by default all; looked up once."""
-        key = None if rows is None else id(rows), dtype
+        key = id(rows), dtype
         if key not in self._tables:
             table = self._table
             if rows is not None:
                 of_pair = torch.arange(len(rows), device=rows.device)[:, None]
                 plane1, plane2 = (plane[of_pair, rows.clamp(min=0)] for plane in (table.plane1, table.plane2))
                 table = replace(table, plane1=plane1, plane2=plane2, exists=(rows >= 0).to(plane1.device))
-            self._tables[key] = table.single() if dtype == torch.float32 else table
-        return self._tables[key]
+            table = table.single() if dtype == torch.float32 else table
+            self._tables[key] = rows, table  # which keeps the number of these rows from being that of others
+        return self._tables[key][1]

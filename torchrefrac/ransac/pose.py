@@ -120,8 +120,6 @@ class RelativePoseEstimator(PoseEstimator[TwoViews]):
         name = "index_ratio (without refraction neither the scale nor the surface shows)"
         require(views.index_ratio, name, above=1.0)
         super().__init__(views)
-        self._rays1 = level_rays(views.plane1, views.cam_from_level[0])
-        self._rays2 = level_rays(views.plane2, views.cam_from_level[1])
 
     @property
     def sample_size(self) -> int:
@@ -137,16 +135,14 @@ class RelativePoseEstimator(PoseEstimator[TwoViews]):
         return are_coherent(self.data.plane1, self.data.plane2)
 
     def solve(self, samples: Int[Tensor, "s size"]) -> tuple[Float[Tensor, "s m 8"], Bool[Tensor, "s m"]]:
-        rays1, rays2 = self._rays1[samples], self._rays2[samples]
-        index, height = self.data.index_ratio, self.data.height
-        if self.data.known_heading is None:
-            heading, center, valid = unchecked_relative_pose_4pt(rays1, rays2, index, height)
-        else:
-            heading = rays1.new_full((len(samples), 1), self.data.known_heading)
-            center, valid = unchecked_relative_pose_3pt(rays1, rays2, heading[:, 0], index, height)
-            center, valid = center[:, None], valid[:, None]
-        tilts = torch.zeros_like(heading)[..., None].expand(*heading.shape, 4)
-        return torch.cat((tilts, heading[..., None], center), dim=-1), valid
+        (one, two), heading = self._rays, self.data.known_heading
+        known = None if heading is None else one.new_full((len(samples),), heading)
+        return relative_models(one[samples], two[samples], known, self.data)
+
+    @cached_property
+    def _rays(self) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
+        views = self.data
+        return level_rays(views.plane1, views.cam_from_level[0]), level_rays(views.plane2, views.cam_from_level[1])
 
     def degeneracy(self, model: Float[Tensor, " 8"], inliers: Bool[Tensor, " n"]) -> str:
         return explain_relative(self.data.rows(inliers), model)
@@ -181,6 +177,23 @@ class AbsolutePoseEstimator(PoseEstimator[OneView]):
 
     def degeneracy(self, model: Float[Tensor, " 6"], inliers: Bool[Tensor, " n"]) -> str:
         return explain_absolute(self.data.rows(inliers), model)
+
+
+def relative_models(
+    rays1: Float[Tensor, "s size 3"],
+    rays2: Float[Tensor, "s size 3"],
+    heading: Float[Tensor, " s"] | None,
+    about: TwoViews,
+) -> tuple[Float[Tensor, "s m 8"], Bool[Tensor, "s m"]]:
+    """Models of minimal samples of level rays, without tilts, and which are valid; heading: of each, where it is known.
+    about: has the index ratio and the height of the first camera."""
+    if heading is None:
+        found, center, valid = unchecked_relative_pose_4pt(rays1, rays2, about.index_ratio, about.height)
+    else:
+        center, valid = unchecked_relative_pose_3pt(rays1, rays2, heading, about.index_ratio, about.height)
+        found, center, valid = heading[:, None], center[:, None], valid[:, None]
+    tilts = torch.zeros_like(found)[..., None].expand(*found.shape, 4)
+    return torch.cat((tilts, found[..., None], center), dim=-1), valid
 
 
 def level_rays(

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from torchrefrac.atomic import replacing
+from torchrefrac.atomic import remove_unfinished, replacing
 from torchrefrac.camera import Intrinsics
 from torchrefrac.files.capture import FORMAT as CAPTURE_FORMAT
 from torchrefrac.files.capture import SEVERAL
@@ -55,8 +55,7 @@ def render_into(
     Raises StageError where by its measured gravity a camera looks at the sky: captures of these are refused.
     """
     stage = photographers[0].stage
-    for left_over in folder.glob("**/.*.partial.*"):
-        left_over.unlink()
+    remove_unfinished(folder, "**/")
     names = image_names(len(stage.center))
     attitude = measure_attitude(stage.rotation, options)
     if options.at_surface:
