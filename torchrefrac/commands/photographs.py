@@ -23,7 +23,7 @@ FIELDS = ("pixels", "descriptors", "colors", "noise")
 MATCHES = Form({"count": "i:p", "matches": "i:k2"})
 AT_ONCE = 16
 """Pairs that are matched in one part of the work."""
-SECONDS_AN_IMAGE, SECONDS_A_PRODUCT = 0.3, 8e-9
+SECONDS_AN_IMAGE, SECONDS_A_PRODUCT = 0.3, 2e-9
 """About how long an image takes, and a pair for each product of two descriptors."""
 
 
