@@ -167,10 +167,10 @@ def with_noise_found(bundle: BundleOptions, report: BundleReport) -> BundleOptio
     )
 
 
-def ending_early(bundle: BundleOptions) -> BundleOptions:
-    """Options for an adjustment that ends when the cost falls by ENOUGH of it at most."""
+def ending_early(bundle: BundleOptions, tolerance: float = ENOUGH) -> BundleOptions:
+    """Options for an adjustment that ends when the cost falls by this much of it at most."""
     solver = bundle.solver
-    return replace(bundle, solver=replace(solver, function_tolerance=max(solver.function_tolerance, ENOUGH)))
+    return replace(bundle, solver=replace(solver, function_tolerance=max(solver.function_tolerance, tolerance)))
 
 
 def with_errors_found(rules: Rules, report: BundleReport, least: float | None) -> Rules:
