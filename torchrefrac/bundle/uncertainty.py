@@ -10,7 +10,7 @@ from torchrefrac.bundle.common_errors import CommonErrors, common_errors
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.point_noise import point_variances
 from torchrefrac.bundle.problem import BundleProblem
-from torchrefrac.optim import Covariance, LossName, ReducedCovariance, robust
+from torchrefrac.optim import Covariance, ReducedCovariance, robust
 from torchrefrac.optim.loss import radial_curvature
 from torchrefrac.scene import Scene, largest_deviation
 
