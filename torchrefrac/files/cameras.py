@@ -60,7 +60,11 @@ def load_cameras(run: str | Path) -> NamedCameras:
     run = Path(run)
     settle(run)
     scene = read_cameras(run / CAMERAS if run.is_dir() else run)
-    scene = scene.of_views(scene.views.registered)
+    return named_cameras(scene.of_views(scene.views.registered))
+
+
+def named_cameras(scene: Scene) -> NamedCameras:
+    """All views of a scene as one batch."""
     of, views = scene.camera_of(), scene.views
     intrinsics = scene.cameras.of_views(views.camera, coefficients=5)
     return NamedCameras(intrinsics, views.rotation, views.center, of.interface, check=False, names=views.names)
