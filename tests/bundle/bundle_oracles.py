@@ -62,7 +62,7 @@ def curvature_of(error: Tensor, loss, scale: float) -> Tensor:
         s = one.square().sum().requires_grad_()
         _, weight = robust(s, loss, scale)
         (of_weight,) = torch.autograd.grad(weight, s) if weight.requires_grad else (torch.zeros(()),)
-        weight, along, square = float(weight.detach()), one / one.norm(), float(one.square().sum())
+        weight, along, square = float(weight.detach()), one / one.norm().clamp(min=1e-300), float(one.square().sum())
         radial = max(weight + 2.0 * square * float(of_weight), 0.5 * weight)
         projector = torch.outer(along, along)
         found.append(radial * projector + weight * (torch.eye(2, dtype=one.dtype) - projector))
