@@ -89,6 +89,10 @@ class PoseEstimator(Generic[D]):
         return len(self.data)
 
     @property
+    def device(self) -> torch.device:
+        return self.data.focal.device
+
+    @cached_property
     def samples_per_hit(self) -> float:
         """Measured: near one while the vertical is good to 10 pixels, and growing with its squared error from there."""
         return 1.0 + (float(self.data.gravity_sigma) * float(self.data.focal.mean()) / TILT_PX) ** 2
