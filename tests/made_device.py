@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import pytest
 import torch
@@ -22,7 +22,6 @@ from torch.utils._mode_utils import no_dispatch
 from torch.utils._pytree import tree_leaves, tree_map
 from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
 
-T = TypeVar("T")
 aten = torch.ops.aten
 
 _setup_privateuseone_for_python_backend("made")
@@ -41,17 +40,12 @@ on_every_device = pytest.mark.parametrize(
 
 LOOKS, UPLOADS, SIZES = "looks", "uploads", "sizes"
 LOOKING = {
-    "_local_scalar_dense",
-    "equal",
-    "is_nonzero",
-    "_linalg_check_errors",
-    "_linalg_eigh",
-    "linalg_eig",
-    "_linalg_svd",
+    *("_local_scalar_dense", "equal", "is_nonzero", "_linalg_check_errors"),
+    *("_linalg_eigh", "linalg_eig", "_linalg_svd"),  # which check whether they have converged
 }
 SIZED = {
-    *("nonzero", "masked_select", "_unique", "_unique2", "unique_dim", "unique_consecutive", "unique_dim_consecutive"),
-    "bincount",
+    *("nonzero", "masked_select", "bincount"),
+    *("_unique", "_unique2", "unique_dim", "unique_consecutive", "unique_dim_consecutive"),
 }
 JOINING = {"cat", "stack"}
 MADE_AT_ONCE = (

@@ -19,7 +19,7 @@ from torchrefrac.optim import (
 
 @dataclass
 class Wells:
-    """10 + exp(a x) - b x, summed over the coordinates x of a state, for each row of data (a, b). How often it was asked."""
+    """10 + exp(a x) - b x, summed over the coordinates x of a state, for each row of data (a, b). asked: how often."""
 
     data: Tensor
     asked: int = 0

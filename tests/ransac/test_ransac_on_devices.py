@@ -39,7 +39,7 @@ def test_poses_of_many_pairs_are_those_of_the_cpu(make_problem, known_heading, d
 
 
 class Watched:
-    """Estimators that keep for what the host waits in their optimisations, whose iterations have a test of their own."""
+    """Estimators that keep for what the host waits in their optimisations."""
 
     def __init__(self, estimators):
         self.estimators, self.inside = estimators, Counter()

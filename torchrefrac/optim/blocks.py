@@ -102,7 +102,7 @@ class ReducedBlocks:
         numbers, position = (
             self.own.new_zeros(layout.elements + 1),
             layout.position,
-        )  # the last one for what is left out
+        )  # the last is for what is left out
         of_block, of_border = position[:first].view(-1, REDUCED_SIZE), position[first:, None]
 
         def put(one: Int[Tensor, "*#k"], other: Int[Tensor, "*#k"], values: Float[Tensor, "*k"]) -> None:

@@ -215,8 +215,7 @@ def _share_first(models: Models) -> bool:
 def _bulk(errors: EpipolarError, max_error: Limit) -> Bool[Tensor, "h n"]:
     """Which matches lie within the depths of the middle 80 % of those within max_error, three times as wide."""
     near = torch.where(errors.error.abs() < beside(max_error, errors.error), errors.depth, torch.nan)
-    low, high = torch.nanquantile(
-        near, torch.linspace(0.1, 0.9, 2, dtype=near.dtype, device=near.device), dim=-1, keepdim=True
-    )
+    ends = torch.linspace(0.1, 0.9, 2, dtype=near.dtype, device=near.device)
+    low, high = torch.nanquantile(near, ends, dim=-1, keepdim=True)
     span = high - low
     return (errors.depth >= low - span) & (errors.depth <= high + span)
