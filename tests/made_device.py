@@ -11,7 +11,6 @@ What it cannot show: operations that CUDA does not have, its rounding, and what 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -27,16 +26,9 @@ aten = torch.ops.aten
 _setup_privateuseone_for_python_backend("made")
 MADE = torch.device("made", 0)
 
-on_every_device = pytest.mark.parametrize(
-    "device",
-    [
-        "made",
-        pytest.param(
-            "cuda",
-            marks=[pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")],
-        ),
-    ],
-)
+needs_cuda = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")]
+ON_CUDA = pytest.param("cuda", marks=needs_cuda)
+on_every_device = pytest.mark.parametrize("device", ["made", ON_CUDA])
 
 LOOKS, UPLOADS, SIZES = "looks", "uploads", "sizes"
 LOOKING = {
@@ -109,17 +101,6 @@ def without_waiting(device: str) -> Iterator[None]:
         yield
     finally:
         torch.cuda.set_sync_debug_mode("default")
-
-
-def moved(value: Any, device: torch.device | str) -> Any:
-    """The same on another device: tensors, and those in dataclasses, tuples, lists and dictionaries."""
-    if isinstance(value, Tensor):
-        return value.to(device)
-    if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{f.name: moved(getattr(value, f.name), device) for f in fields(value) if f.init})
-    if isinstance(value, (tuple, list, dict)):
-        return tree_map(lambda leaf: moved(leaf, device), value)
-    return value
 
 
 def _computed(function: Any, *args: Any, **kwargs: Any) -> Any:

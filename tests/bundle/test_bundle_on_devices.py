@@ -3,8 +3,9 @@
 import pytest
 import torch
 
-from tests.made_device import moved, on_every_device
+from tests.made_device import on_every_device
 from torchrefrac.bundle import BundleOptions, GravityPrior, ScaleBars, adjust, uncertainty
+from torchrefrac.numerics import on_device
 from torchrefrac.optim import LevenbergMarquardtOptions
 
 THREE = LevenbergMarquardtOptions(max_iterations=3)
@@ -15,10 +16,10 @@ REFINED = ("focal", "index_ratio", "plane_tilt")
 @pytest.mark.parametrize("solver", ["dense", "banded", "iterative"])
 @pytest.mark.parametrize("refine", [(), REFINED], ids=["poses and points", "more"])
 def test_the_adjusted_scene_is_that_of_the_cpu(plant, disturb, solver, refine, device):
-    start = disturb(plant(points=20, noise=0.3).truth, 0.1)
+    start = disturb(plant(points=12, noise=0.3).truth, 0.1)
     options = BundleOptions(reduced_solver=solver, refine=refine, solver=THREE)
 
-    here, there = (adjust(moved(start, on), options) for on in ("cpu", device))
+    here, there = (adjust(on_device(start, on), options) for on in ("cpu", device))
 
     assert there.status == here.status == "max_iterations"
     assert set(there.fixed) == set(here.fixed)
@@ -30,7 +31,7 @@ def test_the_adjusted_scene_is_that_of_the_cpu(plant, disturb, solver, refine, d
 
 @on_every_device
 def test_with_measurements_scene_and_uncertainty_are_those_of_the_cpu(plant, disturb, device):
-    planted = plant(points=20, noise=0.3, cameras=2, interfaces=2, glass=1.0)
+    planted = plant(points=12, noise=0.3, cameras=2, interfaces=2, glass=1.0)
     start, one = disturb(planted.truth, 0.1), torch.ones(1, dtype=torch.float64)
     terms = [
         GravityPrior(planted.down_in_cam, 0.01),
@@ -40,7 +41,7 @@ def test_with_measurements_scene_and_uncertainty_are_those_of_the_cpu(plant, dis
     fixed[0] = True
 
     reports = [
-        adjust(moved(start, on), BundleOptions(solver=THREE), terms=moved(terms, on), fixed=fixed.to(on))
+        adjust(on_device(start, on), BundleOptions(solver=THREE), terms=on_device(terms, on), fixed=fixed.to(on))
         for on in ("cpu", device)
     ]
 

@@ -6,8 +6,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tests.made_device import LOOKS, SIZES, UPLOADS, moved, waits
+from tests.made_device import LOOKS, SIZES, UPLOADS, waits
 from torchrefrac.bundle import BundleOptions, Expectations, GravityPrior, ScaleBars, adjust
+from torchrefrac.numerics import on_device
 from torchrefrac.optim import IterativeOptions, LevenbergMarquardtOptions, minimize
 
 
@@ -45,7 +46,7 @@ def test_other_solvers_wait_besides_for_the_order_of_the_unknowns_which_the_host
 
 
 def _waits_of_two_iterations(start, options, terms=(), fixed=None) -> Counter[str]:
-    start, terms, fixed = moved((start, terms, fixed), "made")
+    start, terms, fixed = on_device((start, terms, fixed), "made")
     first = LevenbergMarquardtOptions(max_iterations=1, function_tolerance=0.0)
     problem = adjust(start, replace(options, solver=first), terms=terms, fixed=fixed).problem  # tables are made once
     found = []

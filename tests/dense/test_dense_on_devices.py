@@ -7,11 +7,11 @@ import torch
 
 from tests.dense.rendered_captures import sparse_scene, write_capture
 from tests.dense.rendered_scenes import Board, cameras_around, marble, render
-from tests.made_device import on_every_device
+from tests.made_device import ON_CUDA
 from torchrefrac.dense import DenseOptions, densify
 
 
-@on_every_device
+@pytest.mark.parametrize("device", [pytest.param("made", marks=pytest.mark.slow), ON_CUDA])
 @pytest.mark.parametrize("method", ["patch", "depthmap"])
 def test_the_surface_is_that_of_the_cpu(tmp_path, method, device):
     rendered = render([Board((0.0, 0.0, -40.0))], cameras_around(3, 30.0, -30.0, 1.33), marble(), 1.33)

@@ -6,7 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.made_device import LOOKS, moved, on_every_device, waits
+from tests.made_device import LOOKS, on_every_device, waits
+from torchrefrac.numerics import on_device
 from torchrefrac.optim import (
     Covariance,
     IterativeOptions,
@@ -81,7 +82,7 @@ def test_steps_are_those_of_the_cpu(make_chain, solver, extra, device):
     system = make_chain(12, 60, families=[(3, 2), (1, 1)], extra=extra, ends=True).system()
     exact = IterativeOptions(tolerance=1e-14, forcing=0.0)
 
-    here, there = (Linearized(moved(system, on), solver, exact).solve(1e-3) for on in ("cpu", device))
+    here, there = (Linearized(on_device(system, on), solver, exact).solve(1e-3) for on in ("cpu", device))
 
     assert bool(there.solved)
     assert there.reduced.device.type == device
@@ -93,6 +94,6 @@ def test_steps_are_those_of_the_cpu(make_chain, solver, extra, device):
 def test_covariances_are_those_of_the_cpu(make_chain, device):
     system = make_chain(12, 60, families=[(3, 2)], extra=3).system()
 
-    here, there = (Covariance.of(moved(system, on)) for on in ("cpu", device))
+    here, there = (Covariance.of(on_device(system, on)) for on in ("cpu", device))
 
     torch.testing.assert_close(there.eliminated().cpu(), here.eliminated(), rtol=1e-10, atol=1e-12)

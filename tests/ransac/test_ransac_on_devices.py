@@ -6,7 +6,8 @@ from collections.abc import Sequence
 import pytest
 import torch
 
-from tests.made_device import LOOKS, SIZES, UPLOADS, moved, on_every_device, waits
+from tests.made_device import LOOKS, SIZES, UPLOADS, on_every_device, waits
+from torchrefrac.numerics import on_device
 from torchrefrac.ransac import RansacOptions, RansacReport, RelativePoseEstimators, ransac, ransac_each
 
 OPTIONS = RansacOptions(max_error=2.0)
@@ -18,7 +19,7 @@ def test_the_pose_and_its_inliers_are_those_of_the_cpu(make_problem, kind, devic
     estimator, _, _, _ = make_problem(kind, points=700, noise=0.5, outliers=300, gravity_error_deg=1.0)
 
     here = ransac(estimator, OPTIONS, _generator(7))
-    there = ransac(type(estimator)(moved(estimator.data, device)), OPTIONS, _generator(7))
+    there = ransac(type(estimator)(on_device(estimator.data, device)), OPTIONS, _generator(7))
 
     assert there.model.device.type == there.inliers.device.type == device
     _assert_same([there], [here], device)
@@ -31,7 +32,7 @@ def test_poses_of_many_pairs_are_those_of_the_cpu(make_problem, known_heading, d
 
     here = ransac_each(RelativePoseEstimators(views), OPTIONS, [_generator(i) for i in range(len(views))])
     there = ransac_each(
-        RelativePoseEstimators(moved(views, device)), OPTIONS, [_generator(i) for i in range(len(views))]
+        RelativePoseEstimators(on_device(views, device)), OPTIONS, [_generator(i) for i in range(len(views))]
     )
 
     assert [report.status for report in here] == ["success", "success", "no_consensus"]
@@ -56,7 +57,7 @@ class Watched:
 
 def test_a_batch_of_samples_waits_for_as_much_however_many_pairs_it_is_of(make_problem):
     one_batch = RansacOptions(max_error=2.0, batch_size=64, max_samples=64)
-    views = moved([make_problem("relative", noise=0.5, outliers=20)[0].data for _ in range(4)], "made")
+    views = on_device([make_problem("relative", noise=0.5, outliers=20)[0].data for _ in range(4)], "made")
     found = []
     for some in (views[:1], views):
         watched = Watched(RelativePoseEstimators(some))
