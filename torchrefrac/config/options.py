@@ -118,8 +118,7 @@ class Options:
 
     survey: path of a survey.json, a gcp_list.txt or a table of control points; None: the survey.json beside the
     capture.json, if there is one. compare_land: whether the photographs are reconstructed without refraction, too, to
-    say how far land differs. device: where descriptors are matched, see `device_of`; `sfm` and
-    `dense` have their own.
+    say how far land differs. device: where descriptors are matched, see `device_of`; `sfm` and `dense` have their own.
     """
 
     model: ModelOptions = field(default_factory=ModelOptions)
