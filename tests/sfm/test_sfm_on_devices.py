@@ -9,9 +9,18 @@ from tests.made_device import on_every_device
 from tests.planted_reconstructions import plant_reconstruction
 from tests.sfm.test_reconstruct_sparse import HARD, OPTIONS, reconstruct
 from torchrefrac.bundle import BundleOptions
-from torchrefrac.numerics import AUTO
+from torchrefrac.numerics import AUTO, on_device
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.sfm import ReadjustOptions, RefractiveInitializer, Rules, SfmOptions, adjust, readjust, verify_pairs
+from torchrefrac.sfm import (
+    ReadjustOptions,
+    RefractiveInitializer,
+    Rules,
+    SfmOptions,
+    adjust,
+    readjust,
+    triangulate,
+    verify_pairs,
+)
 from torchrefrac.sfm.adjust import adjust_locally, assess_scene
 from torchrefrac.sfm.rules import WORTH_A_GPU
 
@@ -48,6 +57,18 @@ def test_what_is_adjusted_and_how_well_it_is_known_are_as_on_the_cpu(survey_of, 
     known, expected = reversed(assessments)
     torch.testing.assert_close(known.point_covariance, expected.point_covariance, rtol=1e-6, atol=1e-9)
     assert known.determined == expected.determined
+
+
+@on_every_device
+def test_points_are_placed_where_they_are_on_the_cpu(survey_of, device):
+    scene = survey_of(points=40, noise=0.1, outliers=0.05).scene()
+
+    here, there = (triangulate(on_device(scene, on), Rules())[0] for on in ("cpu", device))
+
+    assert there.points.device.type == device
+    assert torch.equal(there.placed.cpu(), here.placed)
+    assert torch.equal(there.accepted.cpu(), here.accepted)
+    torch.testing.assert_close(there.points.cpu(), here.points, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow
