@@ -9,7 +9,7 @@ What it cannot show: operations that CUDA does not have, its rounding, and what 
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -18,7 +18,6 @@ import pytest
 import torch
 from torch import Tensor
 from torch.utils._mode_utils import no_dispatch
-from torch.utils._pytree import tree_leaves, tree_map
 from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
 
 aten = torch.ops.aten
@@ -106,7 +105,7 @@ def without_waiting(device: str) -> Iterator[None]:
 def _computed(function: Any, *args: Any, **kwargs: Any) -> Any:
     """By the CPU what is asked for of tensors there, or of none."""
     name, device = function._schema.name.removeprefix("aten::"), kwargs.get("device")
-    tensors = [leaf for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, Tensor)]
+    tensors = list(_tensors((*args, *kwargs.values())))
     is_there = isinstance(tensors[0], MadeTensor) if tensors else True
     goes_there = is_there if device is None else torch.device(device).type == MADE.type
     if name == "copy_":
@@ -117,26 +116,39 @@ def _computed(function: Any, *args: Any, **kwargs: Any) -> Any:
     if device is not None:
         kwargs["device"] = torch.device("cpu")
     known = {id(_on_cpu(tensor)): tensor for tensor in tensors}
-    found = function(*tree_map(_on_cpu, args), **tree_map(_on_cpu, kwargs))
+    found = function(*_mapped(_on_cpu, args), **{key: _mapped(_on_cpu, value) for key, value in kwargs.items()})
     if torch.Tag.inplace_view in function.tags:
         with no_dispatch():
             function(*args, **kwargs)  # the wrapper has the new shape, too
-    return tree_map(lambda leaf: _answer(leaf, known, goes_there), found)
+    return _mapped(lambda tensor: _answer(tensor, known, goes_there), found)
 
 
-def _on_cpu(leaf: Any) -> Any:
-    return leaf.here if isinstance(leaf, MadeTensor) else leaf
+def _tensors(value: Any) -> Iterator[Tensor]:
+    if isinstance(value, Tensor):
+        yield value
+    elif isinstance(value, list | tuple):
+        for part in value:
+            yield from _tensors(part)
 
 
-def _answer(leaf: Any, known: Mapping[int, Tensor], goes_there: bool) -> Any:
-    """A tensor that was written to is the one that was given."""
-    if not isinstance(leaf, Tensor):
-        return leaf
-    if (given := known.get(id(leaf))) is not None:
-        if given.shape != leaf.shape or given.stride() != leaf.stride():
+def _mapped(function: Callable[[Tensor], Tensor], value: Any) -> Any:
+    """With what a function makes of each tensor."""
+    if isinstance(value, Tensor):
+        return function(value)
+    return type(value)(_mapped(function, part) for part in value) if isinstance(value, list | tuple) else value
+
+
+def _on_cpu(tensor: Tensor) -> Tensor:
+    return tensor.here if isinstance(tensor, MadeTensor) else tensor
+
+
+def _answer(tensor: Tensor, known: Mapping[int, Tensor], goes_there: bool) -> Tensor:
+    """What was written to is the tensor that was given."""
+    if (given := known.get(id(tensor))) is not None:
+        if given.shape != tensor.shape or given.stride() != tensor.stride():
             raise NotImplementedError("a tensor of the made device cannot change its shape")
         return given
-    return MadeTensor(leaf) if goes_there else leaf
+    return MadeTensor(tensor) if goes_there else tensor
 
 
 def _require_together(name: str, tensors: Sequence[Tensor], kwargs: Mapping[str, Any]) -> None:
