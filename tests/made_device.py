@@ -38,7 +38,7 @@ SIZED = {
     *("nonzero", "masked_select", "bincount"),
     *("_unique", "_unique2", "unique_dim", "unique_consecutive", "unique_dim_consecutive"),
 }
-JOINING = {"cat", "stack"}
+COPYING, JOINING = {"_to_copy", "copy_"}, {"cat", "stack"}
 MADE_AT_ONCE = (
     *(aten.arange.default, aten.arange.start, aten.arange.start_step, aten.eye.default, aten.eye.m),
     *(aten.tril_indices.default, aten.triu_indices.default),
@@ -106,11 +106,11 @@ def _computed(function: Any, *args: Any, **kwargs: Any) -> Any:
     """By the CPU what is asked for of tensors there, or of none."""
     name, device = function._schema.name.removeprefix("aten::"), kwargs.get("device")
     tensors = list(_tensors((*args, *kwargs.values())))
-    is_there = isinstance(tensors[0], MadeTensor) if tensors else True
+    is_there = not tensors or any(isinstance(tensor, MadeTensor) for tensor in tensors)
     goes_there = is_there if device is None else torch.device(device).type == MADE.type
     if name == "copy_":
         goes_there, is_there = (isinstance(one, MadeTensor) for one in args[:2])
-    elif name != "_to_copy":
+    elif name not in COPYING:
         _require_together(name, tensors, kwargs)
     _count(name, args, kwargs, is_there, goes_there)
     if device is not None:
@@ -161,8 +161,8 @@ def _require_together(name: str, tensors: Sequence[Tensor], kwargs: Mapping[str,
 
 def _count(name: str, args: Sequence[Any], kwargs: Mapping[str, Any], is_there: bool, goes_there: bool) -> None:
     kinds = {
-        LOOKS: name in LOOKING or (is_there and not goes_there),
-        UPLOADS: goes_there and not is_there,
+        LOOKS: name in LOOKING or (name in COPYING and is_there and not goes_there),
+        UPLOADS: name in COPYING and goes_there and not is_there,
         SIZES: name in SIZED or _depends_on_values(name, args, kwargs),
     }
     for counter in _counters:

@@ -36,7 +36,9 @@ def test_devices_are_not_mixed(row, mix):
 
 
 def test_numbers_without_dimensions_may_come_from_the_cpu_and_arrays_of_numpy_may_not_be_taken(row):
-    assert (row * torch.tensor(2.0)).tolist() == [6.0, 2.0, 4.0]
+    for twice in (row * torch.tensor(2.0), torch.tensor(2.0) * row):
+        assert twice.device == MADE
+        assert twice.tolist() == [6.0, 2.0, 4.0]
     with pytest.raises(RuntimeError):
         row.numpy()
 

@@ -43,12 +43,12 @@ def test_whatever_holds_tensors_is_moved_with_all_of_them(device):
     one = torch.ones(2)
     held = Held(Pair(one, 3), by_name={"a": one, "b": 0.5}, inner=Held(Pair(one, 4)))
 
-    there = on_device([held, (one, "text")], device)
+    first, second, text = on_device((held, [one], "text"), device)
 
-    first, (second, text) = there
     assert isinstance(first.pair, Pair)
+    assert first.inner is not None
     assert (first.pair.second, first.inner.pair.second, first.by_name["b"], text) == (3, 4, 0.5, "text")
-    for tensor in (first.pair.first, first.inner.pair.first, first.by_name["a"], second):
+    for tensor in (first.pair.first, first.inner.pair.first, first.by_name["a"], *second):
         assert tensor.device.type == device
         assert torch.equal(tensor.cpu(), one)
 
