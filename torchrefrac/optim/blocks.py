@@ -99,10 +99,8 @@ class ReducedBlocks:
     def laid_out(self, layout: MatrixLayout) -> Float[Tensor, " elements"]:
         """In another layout; what that has not is left out."""
         first = REDUCED_SIZE * len(self.own)
-        numbers, position = (
-            self.own.new_zeros(layout.elements + 1),
-            layout.position,
-        )  # the last is for what is left out
+        numbers = self.own.new_zeros(layout.elements + 1)  # the last one for what is left out
+        position = layout.position
         of_block, of_border = position[:first].view(-1, REDUCED_SIZE), position[first:, None]
 
         def put(one: Int[Tensor, "*#k"], other: Int[Tensor, "*#k"], values: Float[Tensor, "*k"]) -> None:
