@@ -226,7 +226,7 @@ def _parts(
     residual = pixel[0] - pixels[:, 0], pixel[1] - pixels[:, 1]
     square = torch.addcmul(residual[0] * residual[0], residual[1], residual[1]) * precision.square()
     rho, weight = robust(square, model.loss, model.loss_scale)
-    impossible, _ = robust(square.new_tensor(IMPOSSIBLE_PX**2), model.loss, model.loss_scale)
+    impossible, _ = robust(square.new_full((), IMPOSSIBLE_PX**2), model.loss, model.loss_scale)
     root = torch.where(valid, weight.sqrt() * precision, 0.0)
     weights = _Weights((root, root), None)
     if model.loss in BENDING:

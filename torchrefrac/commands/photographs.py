@@ -13,8 +13,7 @@ from torchrefrac.features import Features, MatchOptions, PairMatches, SiftOption
 from torchrefrac.features.matching import EXHAUSTIVE
 from torchrefrac.files.masks import Masks
 from torchrefrac.files.work import Arrays, Form, Work
-from torchrefrac.numerics import device_of
-from torchrefrac.numerics.devices import AUTO
+from torchrefrac.numerics import AUTO, device_of
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture
 

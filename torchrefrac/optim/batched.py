@@ -118,10 +118,11 @@ def minimize_each(
         small = promised <= tolerance * current.cost + rounding
         converged = converged | (solved & current.cost.isfinite() & small)
         done = converged | stalled
-        if bool(done.all()):
+        finished = int(done.sum())  # one look at a GPU
+        if finished == len(rows):
             break
-        if isinstance(problems, Separable) and int(done.sum()) > LEAVING * len(rows):
-            leave, stay = done.nonzero()[:, 0], (~done).nonzero()[:, 0]
+        if isinstance(problems, Separable) and finished > LEAVING * len(rows):
+            stay, leave = done.argsort(stable=True).split((len(rows) - finished, finished))
             report = SmallReport(states, current, converged, stalled)
             waiting.append((rows[leave], _rows_of(report, leave)))
             states, current, converged, stalled = _rows_of(report, stay)

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
+from torchrefrac.checks import can_be_looked_at
 from torchrefrac.ransac.pose import RelativePoseEstimator, level_rays, optimized, relative_models
 from torchrefrac.refinement import TwoViews
 
@@ -30,13 +31,15 @@ class RelativePoseEstimators:
 
     def __init__(self, pairs: Sequence[TwoViews]) -> None:
         self._each = [RelativePoseEstimator(views) for views in pairs]
-        first, self._headings = pairs[0], [views.known_heading for views in pairs]
+        first = pairs[0]
         counts = torch.tensor([len(views) for views in pairs], device=first.plane1.device)
         plane1, plane2 = (
             pad_sequence([getattr(views, name) for views in pairs], batch_first=True, padding_value=0.0)
             for name in ("plane1", "plane2")
         )
         self._counts, self._samples_per_hit = counts, [estimator.samples_per_hit for estimator in self._each]
+        known = first.known_heading is not None
+        self._headings = plane1.new_tensor([views.known_heading for views in pairs]) if known else None
         self._table = replace(
             first,
             plane1=plane1,
@@ -63,6 +66,10 @@ class RelativePoseEstimators:
     def samples_per_hit(self) -> Sequence[float]:
         return self._samples_per_hit
 
+    @property
+    def device(self) -> torch.device:
+        return self._counts.device
+
     def is_promising(self, problem: int) -> bool:
         return self._each[problem].is_promising
 
@@ -70,7 +77,7 @@ class RelativePoseEstimators:
         self, samples: Int[Tensor, "s size"], owner: Int[Tensor, " s"]
     ) -> tuple[Float[Tensor, "s m 8"], Bool[Tensor, "s m"]]:
         one, two = (rays[owner[:, None], samples] for rays in self._rays)
-        known = None if self._table.known_heading is None else one.new_tensor(self._headings)[owner]
+        known = None if self._headings is None else self._headings[owner]
         return relative_models(one, two, known, self._table)
 
     def squared_errors(
@@ -82,7 +89,7 @@ class RelativePoseEstimators:
         self, models: Float[Tensor, "k 8"], owner: Int[Tensor, " k"], max_error: float, rows: Rows, thorough: bool
     ) -> tuple[Float[Tensor, "k 8"], Float[Tensor, " k"]]:
         stages = RelativePoseEstimator.thorough if thorough else RelativePoseEstimator.quick
-        width = int(self._counts[owner].max()) if rows is None else rows.shape[1]
+        width = self._width(owner) if rows is None else rows.shape[1]
         parts = zip(*(part.split(max(IN_CACHE // max(width, 1), 1)) for part in (models, owner)), strict=True)
         found = [optimized(self._data(of, rows, some.dtype), some, max_error, stages, thorough) for some, of in parts]
         found, costs = zip(*found, strict=True)
@@ -94,10 +101,14 @@ class RelativePoseEstimators:
     def _data(self, owner: Int[Tensor, " k"], rows: Rows, dtype: torch.dtype) -> TwoViews:
         """The matches of the pair of each model."""
         table = self._matches(rows, dtype)
-        width = table.plane1.shape[1] if rows is not None else max(int(self._counts[owner].max()), 1)
+        width = table.plane1.shape[1] if rows is not None else max(self._width(owner), 1)
         if width < table.plane1.shape[1]:
             table = replace(table, **{name: getattr(table, name)[:, :width] for name in ("plane1", "plane2", "exists")})
         return table.of_models(owner)
+
+    def _width(self, owner: Int[Tensor, " k"]) -> int:
+        """Of a table in which the pairs of the models have room; that of all where looking would cost more."""
+        return int(self._counts[owner].max()) if can_be_looked_at(owner) else self._table.plane1.shape[1]
 
     def _matches(self, rows: Rows, dtype: torch.dtype) -> TwoViews:
         """Those `rows` of each pair, by default all; looked up once."""
@@ -107,7 +118,7 @@ class RelativePoseEstimators:
             if rows is not None:
                 of_pair = torch.arange(len(rows), device=rows.device)[:, None]
                 plane1, plane2 = (plane[of_pair, rows.clamp(min=0)] for plane in (table.plane1, table.plane2))
-                table = replace(table, plane1=plane1, plane2=plane2, exists=(rows >= 0).to(plane1.device))
+                table = replace(table, plane1=plane1, plane2=plane2, exists=rows >= 0)
             table = table.single() if dtype == torch.float32 else table
             self._tables[key] = rows, table  # which keeps the number of these rows from being that of others
         return self._tables[key][1]

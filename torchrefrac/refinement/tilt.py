@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchrefrac.checks import can_be_looked_at
 from torchrefrac.geometry import heading_rotation
+from torchrefrac.numerics import like
 from torchrefrac.optim import Quadratic
 
 Sigma = float | Float[Tensor, " k"]
@@ -31,9 +32,9 @@ class Cost:
         return self.model(states)
 
 
-def beside(limit: Limit, like: Float[Tensor, "k n"]) -> Float[Tensor, "*k 1"]:
+def beside(limit: Limit, errors: Float[Tensor, "k n"]) -> Float[Tensor, "*k 1"]:
     """A limit of the errors of all models, or of each, beside these errors."""
-    return torch.as_tensor(limit, dtype=like.dtype, device=like.device)[..., None]
+    return like(limit, errors)[..., None]
 
 
 def tilted_rotation(
@@ -102,7 +103,7 @@ def with_priors(
     weight = _weights(models, gravity_sigma, pixel_sigma)
     if weight is not None:
         gradient, hessian = gradient + weight * models, hessian + torch.diag_embed(weight)
-    exact = torch.as_tensor(gravity_sigma, device=models.device) == 0.0
+    exact = like(gravity_sigma, models) == 0.0
     if known_heading or (can_be_looked_at(models) and bool(exact.any())):
         free = torch.ones_like(models)
         free[:, :tilts] = (~exact).to(models)[..., None].expand(len(models), tilts)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry import Rigid, level_rotation
+from torchrefrac.numerics import device_of, on_device
 from torchrefrac.ransac import AbsolutePoseEstimator, RansacReport, RelativePoseEstimators, ransac, ransac_each
 from torchrefrac.refinement import OneView, TwoViews
 from torchrefrac.scene import Capture
@@ -43,7 +44,8 @@ class RefractiveInitializer:
         dry = [self._dry(*pair) for pair in zip(images, pixels, strict=True)]
         views = [self._views(*pair) for pair in zip(images, pixels, dry, strict=True)]
         options = replace(self.options.ransac, min_inliers=least)
-        reports = ransac_each(RelativePoseEstimators(views), options, generators)
+        estimators = RelativePoseEstimators(on_device(views, device_of(self.options.device)))
+        reports = on_device(ransac_each(estimators, options, generators), views[0].plane1.device)
         return [self._judged(*pair) for pair in zip(reports, views, images, pixels, dry, strict=True)]
 
     def _views(self, images: tuple[int, int], pixels: Pixels, dry: Bool[Tensor, " k"] | None) -> TwoViews:
