@@ -35,19 +35,13 @@ def jacobian_of(function, layout: Layout, state: Scene) -> Tensor:
 
 
 def weighted_residuals(problem, observations: Observations, at: Scene):
-    """The function state -> residuals (K) whose Gauss-Newton system the problem linearised at `at` must have: that of a
-    quadratic with the gradient of the loss, curved by its weight across each residual, and along it by what the loss
-    has there or by half the weight."""
+    """The function state -> residuals (K) whose Gauss-Newton system the problem linearised at `at` must have."""
     options, layout = problem.options, problem.layout
-    error = errors_of(at, observations).detach()
-    values, directions = torch.linalg.eigh(curvature_of(error, options.loss, options.loss_scale))
-    root = directions * values.sqrt()[:, None] @ directions.mT
-    weight = robust(error.square().sum(dim=-1), options.loss, options.loss_scale)[1]
-    pull = torch.linalg.solve(root, (weight[:, None] * error)[..., None])[..., 0]
+    square = errors_of(at, observations).square().sum(dim=-1, keepdim=True)
+    root = robust(square, options.loss, options.loss_scale)[1].sqrt()
 
     def residuals(state: Scene) -> Tensor:
-        change = errors_of(state, observations) - error
-        parts = [((root @ change[..., None])[..., 0] + pull).flatten()]
+        parts = [(root * errors_of(state, observations)).flatten()]
         parts += [options.pixel_sigma * term.residuals(state, layout).value.flatten() for term in problem.terms]
         return torch.cat(parts)
 

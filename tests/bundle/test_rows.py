@@ -85,12 +85,27 @@ def test_the_last_row_is_the_projection_minus_the_pixel(plant, disturb, rows_of)
 
 
 @every_loss
-def test_a_robust_loss_weighs_all_rows_of_an_observation(plant, disturb, rows_of, loss):
+def test_a_robust_loss_scales_all_rows_of_an_observation_by_the_root_of_its_weight(plant, disturb, rows_of, loss):
     planted = plant(noise=1.0)
     state, refine = disturb(planted.truth, size=0.05), ("focal", *OF_SURFACES)
     plain, _ = rows_of(planted, state, refine, loss="squared")
 
     rows, cost = rows_of(planted, state, refine, loss=loss, loss_scale=1.5)
+
+    square = errors_of(state, planted.observations).square().sum(dim=-1)
+    rho, weight = robust(square, loss, 1.5)
+    assert loss == "squared" or 0 < int((weight < 0.9).sum()) < len(weight)
+    assert_matches(rows, plain * weight.sqrt(), slack=10.0)
+    assert_matches(cost, 0.5 * rho.sum(), slack=10.0)
+
+
+@every_loss
+def test_turned_rows_have_the_curvature_of_the_loss_as_far_as_that_is_positive(plant, disturb, rows_of, loss):
+    planted = plant(noise=1.0)
+    state, refine = disturb(planted.truth, size=0.05), ("focal", *OF_SURFACES)
+    plain, _ = rows_of(planted, state, refine, loss="squared")
+
+    rows, cost = rows_of(planted, state, refine, loss=loss, loss_scale=1.5, turned=True)
 
     weight = robust(errors_of(state, planted.observations).square().sum(dim=-1), loss, 1.5)[1]
     assert loss == "squared" or 0 < int((weight < 0.9).sum()) < len(weight)
@@ -203,4 +218,8 @@ def test_noise_divides_errors_before_the_loss_sees_them(plant, disturb, rows_of,
     rows, cost = rows_of(noisy, state, ("focal",), **options)
 
     plain, _ = rows_of(planted, state, ("focal",), loss="squared")
+    rho, weight = robust((plain[:, -1] / noise).square().sum(dim=0), loss, 0.3)
+    torch.testing.assert_close(rows, plain * (weight.sqrt() / noise))
+    torch.testing.assert_close(cost, 0.5 * rho.sum())
+    rows, cost = rows_of(noisy, state, ("focal",), **options, turned=True)
     _assert_weighted_by_loss(rows, cost, plain / noise, loss, 0.3)

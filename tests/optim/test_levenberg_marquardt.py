@@ -26,7 +26,7 @@ class Rosenbrock:
     def cost(self, state):
         return 0.5 * self.residual(state).square().sum()
 
-    def linearize(self, state):
+    def linearize(self, state, near=False):
         cost = self.cost(state)
         self.asked.append(float(cost))
         jacobian = torch.autograd.functional.jacobian(self.residual, state)
@@ -77,8 +77,8 @@ class Unsolvable(Rosenbrock):
         super().__init__()
         self.times = times
 
-    def linearize(self, state):
-        return _Singular(super().linearize(state))
+    def linearize(self, state, near=False):
+        return _Singular(super().linearize(state, near))
 
 
 class _Singular:

@@ -61,17 +61,18 @@ class BundleProblem:
         varying = self.layout.intrinsics, self.layout.water
         return RowModel(*varying, options.loss, options.loss_scale, frozen, self.layout.moves_with_camera)
 
-    def linearize(self, state: Scene) -> Linearized:
-        """The normal equations at a scene, with their gauge."""
+    def linearize(self, state: Scene, near: bool = False) -> Linearized:
+        """The normal equations at a scene, with their gauge. near: a minimum, where steps may be as long as the second
+        derivatives of the loss allow."""
         scene, options, layout = state, self.options, self.layout
-        rows, cost = self._rows(scene, self.seen, self.buffers.pop() if self.buffers else None)
+        rows, cost = self._rows(scene, self.seen, near, self.buffers.pop() if self.buffers else None)
         residuals = [term.residuals(scene, layout) for term in self.terms]
         blocks = []
         for value, jacobian, columns in residuals:
             cost = cost + 0.5 * options.pixel_sigma**2 * value.square().sum()
             blocks.append(Blocks.of_rows(columns, options.pixel_sigma * jacobian, options.pixel_sigma * value))
         if len(self.seen_reduced):
-            more_rows, more_cost = self._rows(scene, self.seen_reduced)
+            more_rows, more_cost = self._rows(scene, self.seen_reduced, near)
             columns = (self.plan.columns[self.seen_reduced.view], layout.point_columns(self.seen_reduced.point))
             by_observation = more_rows.permute(2, 0, 1)
             blocks.append(Blocks.of_rows(torch.cat(columns, dim=1), by_observation[..., :-1], by_observation[..., -1]))
@@ -125,9 +126,10 @@ class BundleProblem:
         return self.layout.retract(state, step)
 
     def _rows(
-        self, scene: Scene, seen: Observations, out: Float[Tensor, "..."] | None = None
+        self, scene: Scene, seen: Observations, near: bool, out: Float[Tensor, "..."] | None = None
     ) -> tuple[Float[Tensor, "2 row k"], Float[Tensor, ""]]:
-        rows, cost = observation_rows(self.rows_of, scene, seen, self.options.compiled, out)
+        model = replace(self.rows_of, turned=near)
+        rows, cost = observation_rows(model, scene, seen, self.options.compiled, out)
         if (constant := self.layout.constant) is not None:
             rows[:, self.plan.layout.reduced].mul_((~constant)[seen.view].T)
         if self.layout.fix_points:

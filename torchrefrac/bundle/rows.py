@@ -87,7 +87,8 @@ def coefficients_of(intrinsics: Sequence[str]) -> int:
 
 @dataclass(frozen=True)
 class RowModel:
-    """What the rows depend on beside tensors. intrinsics, water: what varies, keys of INTRINSICS and of WATER."""
+    """What the rows depend on beside tensors. intrinsics, water: what varies, keys of INTRINSICS and of WATER; turned:
+    whether residuals that the loss bends for have Triggs' correction, see `torchrefrac.optim.loss.turned`."""
 
     intrinsics: tuple[str, ...] = ()
     water: tuple[str, ...] = ()
@@ -95,6 +96,7 @@ class RowModel:
     loss_scale: float = 0.25
     frozen_ratio: bool = False
     moves_with_camera: bool = False
+    turned: bool = False
 
     @property
     def layout(self) -> RowLayout:
@@ -229,7 +231,7 @@ def _parts(
     impossible, _ = robust(square.new_full((), IMPOSSIBLE_PX**2), model.loss, model.loss_scale)
     root = torch.where(valid, weight.sqrt() * precision, 0.0)
     weights = _Weights((root, root), None)
-    if model.loss in BENDING:
+    if model.turned and model.loss in BENDING:
         bend, longer = turned(residual, weight, model.loss)
         weights = _Weights.of(root, residual, bend)
         residual = residual[0] * longer, residual[1] * longer

@@ -27,6 +27,10 @@ RANGES = {
 }
 
 
+NEAR = 0.03
+"""A step that lowers the cost by no more of it leads to the neighbourhood of a minimum."""
+
+
 class Step(NamedTuple):
     """A proposed change of the reduced and of the eliminated blocks, which only the problem understands;
     predicted_decrease: how much the linear model expects the cost to fall; solved: whether there is a step."""
@@ -53,7 +57,10 @@ class Linearization(Protocol):
 class Problem(Protocol[State]):
     """A non-linear least-squares problem; states are immutable."""
 
-    def linearize(self, state: State) -> Linearization: ...
+    def linearize(self, state: State, near: bool = False) -> Linearization:
+        """near: whether the last step has hardly lowered the cost, so that second derivatives may be trusted further
+        than far from a minimum."""
+        ...
 
     def retract(self, state: State, step: Step) -> State: ...
 
@@ -98,16 +105,17 @@ def minimize(
     costs = [cost]
     if not math.isfinite(cost):
         return MinimizeReport(state, "not_finite", 0, costs)
-    damping, growth = options.initial_damping, 2.0
+    damping, growth, near = options.initial_damping, 2.0, False
     for iteration in range(1, options.max_iterations + 1):
         step = current.solve(damping)
         first_try = growth == 2.0  # later ones are damped so much that a small prediction says nothing
         candidate = problem.retract(state, step)
-        tried = problem.linearize(candidate)
+        tried = problem.linearize(candidate, near)
         judged = torch.stack([tried.cost, step.predicted_decrease, step.solved.to(tried.cost)])  # one look at a GPU
         tried_cost, predicted, solved = judged.tolist()
         decrease = cost - tried_cost
         if solved and math.isfinite(tried_cost) and predicted > 0.0 and decrease >= 0.0:
+            near = decrease <= NEAR * cost
             state, cost, current = candidate, tried_cost, tried
             costs.append(cost)
             if callback is not None:

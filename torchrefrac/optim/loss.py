@@ -1,7 +1,8 @@
 """Robust losses rho(s) of a squared residual norm s, and the weights rho'(s) of iteratively reweighted least squares.
 
 Reweighted alone, a step towards the minimum is too short in the direction of a residual that the loss bends for, where
-the cost is curved less than a weighted square: see `turned`.
+the cost is curved less than a weighted square: see `turned`. Far from the minimum, where the loss bends for nearly all
+residuals, such steps are what leads there at once.
 """
 
 from typing import Literal, get_args
@@ -54,8 +55,8 @@ def radial_curvature(weight: Float[Tensor, "*batch"], loss: LossName) -> Float[T
 
 
 def turned(
-    residual: tuple[Float[Tensor, " k"], Float[Tensor, " k"]], weight: Float[Tensor, " k"], loss: LossName
-) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"]]:
+    residual: tuple[Float[Tensor, "*k"], Float[Tensor, "*k"]], weight: Float[Tensor, "*k"], loss: LossName
+) -> tuple[Float[Tensor, "*k"], Float[Tensor, "*k"]]:
     """Triggs' correction of residuals of two components (Triggs et al., "Bundle adjustment - a modern synthesis", 2000,
     section 4.3), as far as the Gauss-Newton matrix stays positive definite.
 
