@@ -7,7 +7,6 @@ of Chang & Chen (ICCV 2011, section 3.4.1) and refraction that is too weak show 
 
 import math
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -20,8 +19,7 @@ NARROW = 0.02
 
 def explain_relative(views: TwoViews, model: Float[Tensor, " 8"]) -> str:
     """Why inlier matches do not determine the relative pose `model`; empty if they do."""
-    everything = torch.ones(1, len(views), dtype=torch.bool, device=model.device)
-    hessian = views.linearize(model[None], math.inf, everything).hessian[0]
+    hessian = views.linearize(model[None], math.inf).hessian[0]
     _, centers = views.poses(model[None])
     much = _uncertainty(hessian, views.pixel_sigma, float((centers[0, 1] - centers[0, 0]).norm()), "the baseline")
     return much and f"the position of the second camera is uncertain {much}: {_reason(views, model, centers[0])}"

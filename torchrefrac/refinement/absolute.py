@@ -5,57 +5,50 @@ The cost is half the sum of squared reprojection errors in pixels, exact through
 prior on the tilt.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.geometry import triples
 from torchrefrac.geometry.triples import Part, Triple
 from torchrefrac.minimal.rays import require_matches
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
-from torchrefrac.refinement.tilt import Cost, Limit, beside, prior_costs, tilted_rotation, turn_by_tilt, with_priors
+from torchrefrac.refinement.data import Costs, PoseData
+from torchrefrac.refinement.tilt import Limit, Sigma, beside, prior_costs, tilted_rotation, turn_by_tilt, with_priors
 from torchrefrac.refraction import apparent_height, apparent_height_partials, screening_height
 
 TILT, HEADING, CENTER, UNKNOWNS = slice(0, 2), 2, slice(3, 6), 6
-TENSORS = ("plane", "points", "cam_from_level", "focal", "index_ratio")
 TINY = 1e-30
 Models = Float[Tensor, "h 6"]
 
 
 @dataclass(frozen=True)
-class OneView:
+class OneView(PoseData):
     """Points in the world and their ideal image coordinates plane; cam_from_level from the measured vertical, focal in
-    pixels.
+    pixels. Of one view or of many (see `PoseData`).
 
     gravity_sigma: expected error of the vertical in radians; 0 takes it for exact, infinity leaves the tilt free.
     pixel_sigma weighs pixels against it. known_heading: in radians, where it was measured too.
     """
 
-    plane: Float[Tensor, "n 2"]
-    points: Float[Tensor, "n 3"]
-    cam_from_level: Float[Tensor, "3 3"]
-    focal: Float[Tensor, " 2"]
+    DATA = ("plane", "points")
+
+    plane: Float[Tensor, "*own n 2"]
+    points: Float[Tensor, "*own n 3"]
+    cam_from_level: Float[Tensor, "*own 3 3"]
+    focal: Float[Tensor, "*own 2"]
     index_ratio: Float[Tensor, ""]
-    gravity_sigma: float = 0.0
+    gravity_sigma: Sigma = 0.0
     pixel_sigma: float = 0.5
-    known_heading: float | None = None
+    known_heading: Sigma | None = None
+    exists: Bool[Tensor, "own n"] | None = None
 
     def __post_init__(self) -> None:
-        require_matches(self.plane, points=self.points)
-
-    def __len__(self) -> int:
-        return len(self.plane)
-
-    def rows(self, rows: Shaped[Tensor, " some"]) -> "OneView":
-        """Some of the points."""
-        return replace(self, plane=self.plane[rows], points=self.points[rows])
-
-    def single(self) -> "OneView":
-        """The same in single precision: enough to tell hypotheses apart."""
-        return replace(self, **{name: getattr(self, name).float() for name in TENSORS})
+        if self.plane.dim() != 3:
+            require_matches(self.plane, points=self.points)
 
     def poses(self, models: Models) -> tuple[Float[Tensor, "h 3 3"], Float[Tensor, "h 3"]]:
         """Rotations cam_from_world and centres."""
@@ -70,22 +63,24 @@ class OneView:
         lifted = torch.where(depth > 0.0, lifted, height + depth)
         x, y, z = (_apply(row, (ux, uy, lifted)) for row in triples.rows(rotation[:, None]))
         inverse = z.reciprocal()
-        (px, py), (fx, fy) = self._plane, self.focal
+        (px, py), (fx, fy) = self._plane, self._focal
         u = torch.addcmul(px, x, inverse, value=-1.0) * fx
         v = torch.addcmul(py, y, inverse, value=-1.0) * fy
-        return torch.where((z > 0.0) & (height > 0.0), torch.addcmul(u * u, v, v), torch.inf)
+        possible = (z > 0.0) & (height > 0.0)
+        possible = possible if self.exists is None else possible & self.exists
+        return torch.where(possible, torch.addcmul(u * u, v, v), torch.inf)
 
     def costs(self, models: Models, max_error: Limit) -> Float[Tensor, " h"]:
         """Truncated sums of squared errors in pixels, and the prior on the tilt."""
         squares = self.squared_errors(models)
-        squares = squares.minimum(beside(max_error, squares) ** 2).sum(dim=-1)
+        squares = self._sum(squares.minimum(beside(max_error, squares) ** 2))
         return squares + 2.0 * prior_costs(models, self.gravity_sigma, self.pixel_sigma)
 
     def refine(self, models: Models, max_error: Limit, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
         """Minimise the truncated cost from models; points beyond max_error do not count."""
-        return minimize_each(Cost(lambda states: self.linearize(states, max_error)), models, max_iterations, tolerance)
+        return minimize_each(Costs(self, max_error), models, max_iterations, tolerance)
 
-    def linearize(self, models: Models, max_error: Limit) -> Quadratic:
+    def linearize(self, models: Models, max_error: Limit, active: Bool[Tensor, "h n"] | None = None) -> Quadratic:
         """The cost in squared pixels, half a sum, and its quadratic model in the six unknowns."""
         rotation, center = self.poses(models)
         (ux, uy), height, depth = self._offsets(triples.split(center[:, None]))
@@ -102,7 +97,7 @@ class OneView:
         inverse = torch.where(ahead, z, 1.0).reciprocal()
         x, y = x * inverse, y * inverse
         residuals, jacobian = [], []
-        for axis, at, seen, f in ((0, x, self._plane[0], self.focal[0]), (1, y, self._plane[1], self.focal[1])):
+        for axis, at, seen, f in ((0, x, self._plane[0], self._focal[0]), (1, y, self._plane[1], self._focal[1])):
             residuals.append((at - seen) * f)
             scale = f * inverse
             g = triples.scaled(scale, triples.add_scaled(rows[axis], at, rows[2], sign=-1.0))
@@ -110,8 +105,10 @@ class OneView:
         square = residuals[0].square() + residuals[1].square()
         limit = beside(max_error, square) ** 2
         inside = ahead & (square < limit)
+        for counts in (active, self.exists):
+            inside = inside if counts is None else inside & counts
         weight = inside.to(square.dtype)
-        cost = 0.5 * torch.where(inside, square, limit).sum(dim=-1)
+        cost = 0.5 * self._sum(torch.where(inside, square, limit))
         weighted = torch.cat([torch.stack(part, dim=1) * weight[:, None] for part in jacobian], dim=-1)
         residual = torch.cat(residuals, dim=-1) * torch.cat((weight, weight), dim=-1)
         chart = self._chart(models)
@@ -137,9 +134,14 @@ class OneView:
         return triples.split(self.points)
 
     @cached_property
-    def _plane(self) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
+    def _plane(self) -> tuple[Part, Part]:
         x, y = triples.components(self.plane)
         return x, y
+
+    @cached_property
+    def _focal(self) -> tuple[Part, Part]:
+        fx, fy = self.focal[..., None].unbind(dim=-2)
+        return fx, fy
 
 
 def _apply(row: Triple, offset: Triple) -> Float[Tensor, "*batch"]:

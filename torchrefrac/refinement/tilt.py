@@ -6,9 +6,6 @@ is one on the length of t, and t = 0 is what the solvers with known vertical fin
 heading, centre) with two tilts a camera, the centre being that of the last camera.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -19,16 +16,6 @@ from torchrefrac.optim import Quadratic
 
 Sigma = float | Float[Tensor, " k"]
 Limit = float | Float[Tensor, " k"]
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Poses as `SmallProblems`, of which all that is known is their quadratic models."""
-
-    model: Callable[[Float[Tensor, "k d"]], Quadratic]
-
-    def linearize(self, states: Float[Tensor, "k d"]) -> Quadratic:
-        return self.model(states)
 
 
 def beside(limit: Limit, like: Float[Tensor, "k n"]) -> Float[Tensor, "*k 1"]:

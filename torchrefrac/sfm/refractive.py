@@ -9,10 +9,10 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry import Rigid, level_rotation
-from torchrefrac.ransac import AbsolutePoseEstimator, RansacReport, RelativePoseEstimators, ransac, ransac_each
+from torchrefrac.ransac import AbsolutePoseEstimators, RansacReport, RelativePoseEstimators, ransac_each
 from torchrefrac.refinement import OneView, TwoViews
 from torchrefrac.scene import Capture
-from torchrefrac.sfm.pose import PairPose, Pixels, Pose, judge_pair
+from torchrefrac.sfm.pose import PairPose, Pixels, Pose, Resection, judge_pair
 from torchrefrac.sfm.rules import SfmOptions
 
 THICK = 25.0
@@ -87,7 +87,19 @@ class RefractiveInitializer:
         points: Float[Tensor, "k 3"],
         generator: torch.Generator,
     ) -> Pose | None:
-        view = OneView(
+        return self.absolute_each([Resection(image, intrinsics, pixels, points)], [generator])[0]
+
+    def absolute_each(self, images: Sequence[Resection], generators: Sequence[torch.Generator]) -> list[Pose | None]:
+        if not images:
+            return []
+        views = [self._view(*image) for image in images]
+        reports = ransac_each(AbsolutePoseEstimators(views), self.options.ransac, generators)
+        return [self._pose(*found) for found in zip(reports, views, strict=True)]
+
+    def _view(
+        self, image: int, intrinsics: Intrinsics, pixels: Float[Tensor, "k 2"], points: Float[Tensor, "k 3"]
+    ) -> OneView:
+        return OneView(
             intrinsics.plane_from_pixels(pixels),
             points,
             cam_from_level=level_rotation(self.capture.down_in_cam[image]),
@@ -96,7 +108,8 @@ class RefractiveInitializer:
             gravity_sigma=float(self.capture.down_sigma[image]),
             pixel_sigma=self.options.bundle.pixel_sigma,
         )
-        report = ransac(AbsolutePoseEstimator(view), self.options.ransac, generator)
+
+    def _pose(self, report: RansacReport, view: OneView) -> Pose | None:
         if report.status != "success":
             return None
         rotation, center = (part[0] for part in view.poses(report.model[None]))

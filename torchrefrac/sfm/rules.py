@@ -46,7 +46,7 @@ class Rules:
     rough: poses may be far off, so that a point is first put where its observations meet best under a loss in which
     errors beyond `loss_scale` pixels count linearly, and judged there. bundle: how to adjust. measurements: what is
     known besides pixels of a part of the scene. fixed_poses: points and water alone are adjusted. poses: finds poses
-    without a start; generator: of its random samples.
+    without a start; seed: of the random samples of each view.
     """
 
     max_error: float = 4.0
@@ -61,7 +61,7 @@ class Rules:
     measurements: Measurements = nothing_measured
     fixed_poses: bool = False
     poses: PoseInitializer | None = None
-    generator: torch.Generator = field(default_factory=lambda: torch.Generator().manual_seed(0))
+    seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class SfmOptions:
             bundle=self.bundle,
             measurements=measurements,
             poses=poses,
-            generator=seed if isinstance(seed, torch.Generator) else torch.Generator().manual_seed(seed),
+            seed=int(torch.randint(1 << 31, (), generator=seed)) if isinstance(seed, torch.Generator) else seed,
         )
 
 
