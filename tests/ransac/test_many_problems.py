@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 import pytest
 import torch
 
+from torchrefrac.camera import RefractiveCamera
 from torchrefrac.ransac import (
     AbsolutePoseEstimator,
     AbsolutePoseEstimators,
@@ -15,6 +16,7 @@ from torchrefrac.ransac import (
     ransac_each,
 )
 from torchrefrac.refinement import OneView, TwoViews
+from torchrefrac.refraction import FlatInterface
 
 OPTIONS = RansacOptions(max_error=2.0)
 ONE = {"relative": RelativePoseEstimator, "absolute": AbsolutePoseEstimator}
@@ -23,9 +25,9 @@ relative_and_absolute = pytest.mark.parametrize("kind", ["relative", "absolute"]
 
 
 @pytest.fixture
-def make_data(make_problem):
-    """`make_data(kind)`: pairs or views of all sizes and kinds, with wrong data alone, too few or none, and more than
-    are screened."""
+def make_data(make_problem, make_degenerate, draw):
+    """`make_data(kind)`: pairs or views of all sizes and kinds, with wrong data alone, too few or none, more than are
+    screened, and those that do not determine a pose."""
     kinds = [
         {"points": 700, "noise": 0.5, "outliers": 200, "gravity_error_deg": 1.0},
         {"points": 90, "noise": 0.5, "outliers": 89, "gravity_error_deg": 0.5},
@@ -34,10 +36,19 @@ def make_data(make_problem):
         {"points": 300, "noise": 0.3, "outliers": 60, "gravity_error_deg": 0.0},
     ]
 
+    def make_narrow():
+        estimator, truth, _, basin = make_problem("absolute", points=50, gravity_error_deg=2.0)
+        view = estimator.data
+        rotation, center = view.poses(truth[None])
+        camera = RefractiveCamera(basin.lens, rotation[0], center[0], FlatInterface(basin.index_ratio))
+        points = basin.points[:1] + 0.15 * draw.normal(50, 3)
+        return replace(view, points=points, plane=basin.lens.plane_from_pixels(camera.project(points)[0]))
+
     def make(kind):
         data = [make_problem(kind, **about)[0].data for about in kinds]
         data[3] = replace(data[3], focal=1.1 * data[3].focal)
-        return [*data, data[3].rows(torch.arange(0))]
+        undetermined = make_degenerate("along", 0.3).data if kind == "relative" else make_narrow()
+        return [*data, data[3].rows(torch.arange(0)), undetermined]
 
     return make
 
@@ -53,10 +64,14 @@ def test_reports_are_those_of_each_problem_alone(make_data, kind, known_heading)
     if known_heading:
         data = [replace(one, known_heading=0.1 * i) for i, one in enumerate(data)]
 
-    together = ransac_each(MANY[kind](data), OPTIONS, _generators(6))
-    alone = [ransac(ONE[kind](one), OPTIONS, draws) for one, draws in zip(data, _generators(6), strict=True)]
+    together = ransac_each(MANY[kind](data), OPTIONS, _generators(7))
+    alone = [ransac(ONE[kind](one), OPTIONS, draws) for one, draws in zip(data, _generators(7), strict=True)]
 
-    assert {report.status for report in alone} >= {"too_few_data", "no_consensus"}
+    assert {report.status for report in alone} >= {
+        "too_few_data",
+        "no_consensus",
+        *(() if known_heading else ("degenerate",)),
+    }
     for one, other in zip(together, alone, strict=True):
         assert (one.status, one.num_samples, one.detail) == (other.status, other.num_samples, other.detail)
         assert one.model.dtype == other.model.dtype
@@ -87,7 +102,7 @@ def test_headings_that_are_known_of_some_alone_are_refused(make_data, kind):
 
 @relative_and_absolute
 def test_data_of_each_model_have_the_errors_and_costs_of_each_problem_alone(make_data, draw, kind):
-    data = [one for one in make_data(kind) if len(one) > 20]
+    data = [one for one in make_data(kind)[:5] if len(one) > 20]
     tilts = 4 if kind == "relative" else 2
     height = draw.uniform(29.0, 31.0, 1)
     models = [torch.cat((0.01 * draw.normal(tilts), 0.3 * draw.normal(1), draw.normal(2), height)) for _ in data]

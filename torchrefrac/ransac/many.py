@@ -4,12 +4,13 @@ Every batch of samples, hypotheses and refinements is that of all problems: most
 to begin many small operations.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Generic
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from torchrefrac.ransac.pose import (
     AbsolutePoseEstimator,
@@ -65,13 +66,22 @@ class PoseEstimators(Generic[D]):
     ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
         stages = self._each[0].thorough if thorough else self._each[0].quick
         width = int(self._counts[owner].max()) if rows is None else rows.shape[1]
-        parts = zip(*(part.split(max(IN_CACHE // max(width, 1), 1)) for part in (models, owner)), strict=True)
-        found = [optimized(self._data(of, rows, some.dtype), some, max_error, stages, thorough) for some, of in parts]
+        found = [
+            optimized(self._data(of, rows, some.dtype), some, max_error, stages, thorough)
+            for some, of in _in_cache(width, models, owner)
+        ]
         found, costs = zip(*found, strict=True)
         return torch.cat(found), torch.cat(costs)
 
-    def degeneracy(self, problem: int, model: Float[Tensor, " d"], inliers: Bool[Tensor, " n"]) -> str:
-        return self._each[problem].degeneracy(model, inliers)
+    def degeneracies(
+        self, models: Float[Tensor, "k d"], owner: Int[Tensor, " k"], inliers: Bool[Tensor, "k n"]
+    ) -> list[str]:
+        rows = pad_sequence([some.nonzero()[:, 0] for some in inliers], batch_first=True, padding_value=-1)
+        return [
+            why
+            for some, of, agreeing in _in_cache(rows.shape[1], models, owner, rows)
+            for why in self._each[0].explain(self._table.of_models(of).rows_of_each(agreeing), some)
+        ]
 
     def _data(self, owner: Int[Tensor, " k"], rows: Rows, dtype: torch.dtype) -> D:
         """Those of the problem of each model."""
@@ -93,6 +103,11 @@ class PoseEstimators(Generic[D]):
         """Of the problem of each sample, where they are known."""
         known = self._table.known_heading
         return known[owner] if isinstance(known, Tensor) else None
+
+
+def _in_cache(width: int, *tensors: Shaped[Tensor, "k ..."]) -> Iterator[tuple[Shaped[Tensor, "some ..."], ...]]:
+    """Parts of what models have, with so many data each."""
+    return zip(*(tensor.split(max(IN_CACHE // max(width, 1), 1)) for tensor in tensors), strict=True)
 
 
 class RelativePoseEstimators(PoseEstimators[TwoViews]):

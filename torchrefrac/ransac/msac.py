@@ -101,7 +101,9 @@ class Estimators(Protocol):
         thorough: bool,
     ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]: ...
 
-    def degeneracy(self, problem: int, model: Float[Tensor, " d"], inliers: Bool[Tensor, " n"]) -> str: ...
+    def degeneracies(
+        self, models: Float[Tensor, "k d"], owner: Int[Tensor, " k"], inliers: Bool[Tensor, "k n"]
+    ) -> list[str]: ...
 
 
 RANGES = {
@@ -181,7 +183,7 @@ def ransac_each(
     rows = _screened(searches)
     while active := [search for search in searches if search.left > 0]:
         _batch(estimators, active, rows, options)
-    return [search.report() for search in searches]
+    return _reports(estimators, searches)
 
 
 @dataclass(frozen=True)
@@ -225,8 +227,10 @@ class _Alone:
     ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
         return self.estimator.optimize(models, max_error, None if rows is None else rows[0], thorough)
 
-    def degeneracy(self, problem: int, model: Float[Tensor, " d"], inliers: Bool[Tensor, " n"]) -> str:
-        return self.estimator.degeneracy(model, inliers)
+    def degeneracies(
+        self, models: Float[Tensor, "k d"], owner: Int[Tensor, " k"], inliers: Bool[Tensor, "k n"]
+    ) -> list[str]:
+        return [self.estimator.degeneracy(*found) for found in zip(models, inliers, strict=True)]
 
 
 class _Search:
@@ -269,17 +273,22 @@ class _Search:
         self.model, self.cost, self.inliers = model, cost, inliers
         self.wanted = self._samples_at(max(float(inliers.double().mean()), self.least), self.options.confidence)
 
-    def report(self) -> RansacReport:
+    @property
+    def agrees(self) -> bool:
+        """Whether enough data agree with the best model."""
+        return int(self.inliers.sum()) >= self.needed
+
+    def report(self, degeneracy: str) -> RansacReport:
+        """degeneracy: why the inliers do not determine the model."""
         if not self.enough:
             detail = f"there are only {self.count} data, but {self.needed} must agree"
             return self._without_model("too_few_data", detail)
-        count = int(self.inliers.sum())
-        if count < self.needed:
+        if not self.agrees:
+            count = int(self.inliers.sum())
             detail = f"only {count} of {self.count} data agree with the best model, but {self.needed} must"
             return self._without_model("no_consensus", detail)
-        detail = self.estimators.degeneracy(self.problem, self.model, self.inliers)
-        if detail:
-            return self._without_model("degenerate", detail)
+        if degeneracy:
+            return self._without_model("degenerate", degeneracy)
         return RansacReport("success", self.model, self.inliers, self.cost, self.drawn)
 
     def _without_model(self, status: Status, detail: str) -> RansacReport:
@@ -293,6 +302,18 @@ class _Search:
         if hits <= 0.0:  # nothing is known of the vertical
             return self.options.max_samples
         return min(math.ceil(math.log(1.0 - confidence) / math.log1p(-hits)), self.options.max_samples)
+
+
+def _reports(estimators: Estimators, searches: Sequence[_Search]) -> list[RansacReport]:
+    """How the searches ended."""
+    reasons = [""] * len(searches)
+    if agreeing := [search for search in searches if search.agrees]:
+        models = torch.stack([search.model for search in agreeing])
+        owner = torch.tensor([search.problem for search in agreeing], device=models.device)
+        inliers = torch.nn.utils.rnn.pad_sequence([search.inliers for search in agreeing], batch_first=True)
+        for search, why in zip(agreeing, estimators.degeneracies(models, owner, inliers), strict=True):
+            reasons[search.problem] = why
+    return [search.report(why) for search, why in zip(searches, reasons, strict=True)]
 
 
 def _screened(searches: Sequence[_Search]) -> Int[Tensor, "problems n"] | None:

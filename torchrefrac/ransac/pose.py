@@ -72,8 +72,10 @@ class PoseEstimator(ABC, Generic[D]):
     @abstractmethod
     def solve(self, samples: Int[Tensor, "s size"]) -> tuple[Float[Tensor, "s m d"], Bool[Tensor, "s m"]]: ...
 
+    @staticmethod
     @abstractmethod
-    def degeneracy(self, model: Float[Tensor, " d"], inliers: Bool[Tensor, " n"]) -> str: ...
+    def explain(inliers: D, models: Float[Tensor, "k d"]) -> list[str]:
+        """Why inliers, of the problem or of each model's own, do not determine models; empty if they do."""
 
     @property
     def num_data(self) -> int:
@@ -94,6 +96,9 @@ class PoseEstimator(ABC, Generic[D]):
         data = self.data if rows is None else self.data.rows(rows)
         return optimized(data, models, max_error, self.thorough if thorough else self.quick, thorough)
 
+    def degeneracy(self, model: Float[Tensor, " d"], inliers: Bool[Tensor, " n"]) -> str:
+        return self.explain(self.data.rows(inliers), model[None])[0]
+
     @cached_property
     def _single(self) -> D:
         return self.data.single()
@@ -113,6 +118,7 @@ class RelativePoseEstimator(PoseEstimator[TwoViews]):
     """
 
     quick, thorough = ((2.0, 3), (1.0, 3)), ((1.0, 40),)
+    explain = staticmethod(explain_relative)
 
     def __init__(self, views: TwoViews) -> None:
         require(views.plane1, "image coordinates")
@@ -143,9 +149,6 @@ class RelativePoseEstimator(PoseEstimator[TwoViews]):
         views = self.data
         return level_rays(views.plane1, views.cam_from_level[0]), level_rays(views.plane2, views.cam_from_level[1])
 
-    def degeneracy(self, model: Float[Tensor, " 8"], inliers: Bool[Tensor, " n"]) -> str:
-        return explain_relative(self.data.rows(inliers), model)
-
 
 class AbsolutePoseEstimator(PoseEstimator[OneView]):
     """Models are those of `OneView`: tilt (2), heading and centre of a camera that sees known points, wet or dry.
@@ -154,6 +157,7 @@ class AbsolutePoseEstimator(PoseEstimator[OneView]):
     """
 
     quick, thorough = ((4.0, 2), (1.0, 2)), ((1.0, 12),)
+    explain = staticmethod(explain_absolute)
 
     def __init__(self, view: OneView) -> None:
         require(view.plane, "image coordinates")
@@ -176,9 +180,6 @@ class AbsolutePoseEstimator(PoseEstimator[OneView]):
     @cached_property
     def _rays(self) -> Float[Tensor, "n 3"]:
         return level_rays(self.data.plane, self.data.cam_from_level)
-
-    def degeneracy(self, model: Float[Tensor, " 6"], inliers: Bool[Tensor, " n"]) -> str:
-        return explain_absolute(self.data.rows(inliers), model)
 
 
 def relative_models(
