@@ -6,6 +6,7 @@ of Chang & Chen (ICCV 2011, section 3.4.1) and refraction that is too weak show 
 """
 
 import math
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -35,7 +36,9 @@ def explain_absolute(inliers: OneView, models: Float[Tensor, "k 6"]) -> list[str
     return [words and f"the position of the camera is uncertain {words}: {why}" for words in much]
 
 
-def _uncertainties(data: PoseData, models: Float[Tensor, "k d"], length: Float[Tensor, " k"], of: str) -> list[str]:
+def _uncertainties(
+    data: PoseData[Any], models: Float[Tensor, "k d"], length: Float[Tensor, " k"], of: str
+) -> list[str]:
     """How uncertain the last three unknowns, a position, are where that is too much against a length; else empty."""
     covariance, exists = covariance_of(data.linearize(models, math.inf).hessian)
     sigma = data.pixel_sigma * covariance.diagonal(dim1=-2, dim2=-1)[:, -3:].sum(dim=-1).sqrt()

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchrefrac.checks import Range, require_ranges
 
-SCORE_ELEMENTS = 1 << 15
+SCORE_ELEMENTS = 1 << 16
 HOPELESS_RATIO, MISSED = 0.4, 0.01
 """Share of inliers at which data that do not look promising are given up, and the probability that a good enough sample
 was missed there. Where as many are right, data look promising anyway: this is for those few that do not."""

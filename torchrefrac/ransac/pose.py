@@ -6,7 +6,7 @@ Models are refined in stages, from a wide limit of the errors to a narrow one.
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -28,25 +28,25 @@ TILT_PX = 20.0
 Stages = Sequence[tuple[float, int]]
 """How far max_error is widened, and the iterations."""
 
-
-D = TypeVar("D", bound=PoseData)
+D = TypeVar("D", bound=PoseData[Any])
 
 
 class _Judged(NamedTuple):
-    """Models, and the squared errors of the data under them."""
+    """Models, and the errors of the data under them."""
 
     models: Float[Tensor, "k d"]
-    squared_errors: Float[Tensor, "k n"]
+    errors: Any  # `Errors`, a named tuple
 
     @classmethod
-    def of(cls, data: PoseData, models: Float[Tensor, "k d"]) -> "_Judged":
-        return cls(models, data.squared_errors(models))
+    def of(cls, data: PoseData[Any], models: Float[Tensor, "k d"]) -> "_Judged":
+        return cls(models, data.errors(models))
 
     def unless_fewer_agree(self, refined: "_Judged", max_error: float) -> "_Judged":
         """What models were refined to, but those whose refinement has walked off their consensus as they were."""
-        before, after = ((of.squared_errors < max_error * max_error).sum(dim=-1) for of in (self, refined))
+        before, after = ((of.errors.squared < max_error * max_error).sum(dim=-1) for of in (self, refined))
         fewer = (after < LEAST_SHARE * before)[:, None]
-        return _Judged(*(torch.where(fewer, old, new) for old, new in zip(self, refined, strict=True)))
+        errors = (torch.where(fewer, old, new) for old, new in zip(self.errors, refined.errors, strict=True))
+        return _Judged(torch.where(fewer, self.models, refined.models), type(self.errors)(*errors))
 
 
 class PoseEstimator(ABC, Generic[D]):
@@ -156,7 +156,7 @@ class AbsolutePoseEstimator(PoseEstimator[OneView]):
     Samples are solved with the measured vertical; the optimisation takes in its error.
     """
 
-    quick, thorough = ((4.0, 2), (1.0, 2)), ((1.0, 12),)
+    quick, thorough = ((2.0, 3),), ((1.0, 12),)
     explain = staticmethod(explain_absolute)
 
     def __init__(self, view: OneView) -> None:
@@ -228,20 +228,20 @@ def level_rays(
 
 
 def optimized(
-    data: PoseData, models: Float[Tensor, "k d"], max_error: float, stages: Stages, thorough: bool
+    data: PoseData[Any], models: Float[Tensor, "k d"], max_error: float, stages: Stages, thorough: bool
 ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
     """Models refined in stages, a thorough optimisation with the limit of the noise at last, and their costs."""
     found = _Judged.of(data, models)
     refined = refine_in_stages(data, models, max_error, stages)
     found = found.unless_fewer_agree(_Judged.of(data, refined), max_error)
     if thorough:
-        refined = data.refine(found.models, tightened(found.squared_errors, max_error), LAST_ITERATIONS).states
+        refined = data.refine(found.models, tightened(found.errors.squared, max_error), LAST_ITERATIONS).states
         found = found.unless_fewer_agree(_Judged.of(data, refined), max_error)
-    return found.models, data.costs(found.models, max_error)
+    return found.models, data.costs(found.models, max_error, found.errors)
 
 
 def refine_in_stages(
-    data: PoseData, models: Float[Tensor, "k d"], max_error: float, stages: Stages
+    data: PoseData[Any], models: Float[Tensor, "k d"], max_error: float, stages: Stages
 ) -> Float[Tensor, "k d"]:
     for widened, iterations in stages:
         models = data.refine(models, widened * max_error, iterations).states

@@ -3,7 +3,8 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import Field, replace
-from typing import Any, ClassVar, NamedTuple, Self
+from functools import cached_property
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
@@ -11,21 +12,35 @@ from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from torchrefrac.optim import Quadratic, SmallReport
-from torchrefrac.refinement.tilt import Limit, Sigma
+from torchrefrac.refinement.tilt import Limit, Priors, Sigma
 
 OWN = ("cam_from_level", "focal", "gravity_sigma", "known_heading", "exists")
 Models = Float[Tensor, "h d"]
 
 
-class PoseData(ABC):
+class Errors(Protocol):
+    """Named tuples of what the data are like under models, of which squared errors follow."""
+
+    @property
+    def squared(self) -> Float[Tensor, "h n"]:
+        """In squared pixels; inf where a datum is impossible or does not exist."""
+        ...
+
+
+E = TypeVar("E", bound=Errors)
+
+
+class PoseData(ABC, Generic[E]):
     """Of one problem, whatever the models are; or each model has one of its own: data, verticals, focal lengths,
     gravity_sigma and known_heading then have a first dimension for the models, and `exists` says which data there are,
     where a problem has fewer than the table.
 
-    Its kinds are dataclasses with these fields, and with tensors that have a row for each datum, named by `DATA`.
+    Its kinds are dataclasses with these fields, and with tensors that have a row for each datum, named by `DATA`; their
+    models have `UNKNOWNS` numbers.
     """
 
     DATA: ClassVar[tuple[str, ...]]
+    UNKNOWNS: ClassVar[int]
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
     cam_from_level: Float[Tensor, "*own_view 3 3"]
     focal: Float[Tensor, "*own_view 2"]
@@ -86,12 +101,22 @@ class PoseData(ABC):
         return replace(self, **{name: getattr(self, name).float() for name in names})
 
     @abstractmethod
-    def squared_errors(self, models: Models) -> Float[Tensor, "h n"]:
-        """In squared pixels; inf where a datum is impossible or does not exist."""
+    def errors(self, models: Models) -> E:
+        """Of the data under models."""
 
     @abstractmethod
-    def costs(self, models: Models, max_error: Limit) -> Float[Tensor, " h"]:
-        """Truncated sums of squared errors in pixels, and the priors."""
+    def costs_of(self, errors: E, max_error: Limit) -> Float[Tensor, " h"]:
+        """Truncated sums of squared errors in pixels."""
+
+    def squared_errors(self, models: Models) -> Float[Tensor, "h n"]:
+        """In squared pixels; inf where a datum is impossible or does not exist."""
+        return self.errors(models).squared
+
+    def costs(self, models: Models, max_error: Limit, errors: E | None = None) -> Float[Tensor, " h"]:
+        """Truncated sums of squared errors in pixels, and the priors. errors: those under the models, where they are
+        known."""
+        errors = self.errors(models) if errors is None else errors
+        return self.costs_of(errors, max_error) + 2.0 * self.priors.costs(models)
 
     @abstractmethod
     def linearize(self, models: Models, max_error: Limit, active: Bool[Tensor, "h n"] | None = None) -> Quadratic:
@@ -101,6 +126,12 @@ class PoseData(ABC):
     def refine(self, models: Models, max_error: Limit, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
         """Minimise the truncated cost from models; data beyond max_error do not count."""
 
+    @cached_property
+    def priors(self) -> Priors:
+        """On models: gravity, the heading."""
+        known = self.known_heading is not None
+        return Priors.of(self.gravity_sigma, self.pixel_sigma, known, self.UNKNOWNS, self.focal)
+
     def _sum(self, values: Float[Tensor, "h n"]) -> Float[Tensor, " h"]:
         """Over the data that there are."""
         return (values if self.exists is None else torch.where(self.exists, values, 0.0)).sum(dim=-1)
@@ -109,7 +140,7 @@ class PoseData(ABC):
 class Costs(NamedTuple):
     """Those of models, as `Separable` problems. active: which data count for each, by default all."""
 
-    data: PoseData
+    data: PoseData[Any]
     max_error: Limit
     active: Bool[Tensor, "h n"] | None = None
 

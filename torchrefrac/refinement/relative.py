@@ -28,10 +28,8 @@ from torchrefrac.refinement.tilt import (
     Limit,
     Sigma,
     beside,
-    prior_costs,
     tilted_rotation,
     turn_by_tilt,
-    with_priors,
 )
 
 HEADING, CENTER, UNKNOWNS = 4, slice(5, 8), 8
@@ -39,7 +37,7 @@ Models = Float[Tensor, "h 8"]
 
 
 @dataclass(frozen=True)
-class TwoViews(PoseData):
+class TwoViews(PoseData[EpipolarError]):
     """Matches of two cameras: ideal image coordinates plane1, plane2, cam_from_level from the measured verticals, focal
     in pixels, of both or of each, and the height of the first camera. Of one pair or of many (see `PoseData`).
 
@@ -47,7 +45,7 @@ class TwoViews(PoseData):
     pixel_sigma weighs pixels against it. known_heading: in radians, where it was measured too.
     """
 
-    DATA = ("plane1", "plane2")
+    DATA, UNKNOWNS = ("plane1", "plane2"), UNKNOWNS
 
     plane1: Float[Tensor, "*own n 2"]
     plane2: Float[Tensor, "*own n 2"]
@@ -71,24 +69,17 @@ class TwoViews(PoseData):
             return found
         return found._replace(error=torch.where(self.exists, found.error, torch.inf), down=found.down & self.exists)
 
-    def squared_errors(self, models: Models) -> Float[Tensor, "h n"]:
-        """Squared epipolar errors in pixels; inf where the rays do not meet below the water."""
-        errors = self.errors(models)
-        return torch.where(errors.possible, errors.error.square(), torch.inf)
-
     def points(self, models: Models) -> Float[Tensor, "h n 3"]:
         """Points next to both rays of each match."""
         rays = zip(*(rays_in_water(view, self.index_ratio) for view in self.views(models)), strict=True)
         return triangulate(*(torch.stack(torch.broadcast_tensors(*pair), dim=-2) for pair in rays))[0]
 
-    def costs(self, models: Models, max_error: Limit) -> Float[Tensor, " h"]:
-        """Truncated sums of squared errors in pixels, and the prior on the tilts. Matches whose rays do not meet below
-        the water, or not at the depth of the bulk, count as outliers."""
-        errors = self.errors(models)
+    def costs_of(self, errors: EpipolarError, max_error: Limit) -> Float[Tensor, " h"]:
+        """Truncated sums of squared errors in pixels. Matches whose rays do not meet below the water, or not at the
+        depth of the bulk, count as outliers."""
         limit = beside(max_error, errors.error) ** 2
         inside = errors.possible & _bulk(errors, max_error)
-        cost = self._sum(torch.where(inside, errors.error.square(), limit).minimum(limit))
-        return cost + 2.0 * prior_costs(models, self.gravity_sigma, self.pixel_sigma)
+        return self._sum(torch.where(inside, errors.error.square(), limit).minimum(limit))
 
     def poses(self, models: Models) -> tuple[Float[Tensor, "h 2 3 3"], Float[Tensor, "h 2 3"]]:
         """Rotations cam_from_world and centres of both cameras."""
@@ -126,13 +117,12 @@ class TwoViews(PoseData):
             inside = inside if counts is None else inside & counts
         weight = inside.to(error.dtype)
         cost = 0.5 * self._sum(torch.where(inside, error.square(), widest**2))
-        jacobian = torch.stack((*by.turn[0], *by.turn[1], *by.center[1]), dim=1) * weight[:, None]
+        jacobian = torch.stack([part * weight for part in (*by.turn[0], *by.turn[1], *by.center[1])], dim=1)
         chart = self._chart(models)
         hessian = chart.mT @ (jacobian @ jacobian.mT) @ chart
         weighted = torch.where(inside, error, 0.0)
         gradient = (chart.mT @ (jacobian @ weighted[..., None]))[..., 0]
-        quadratic = Quadratic(cost, gradient, hessian)
-        return with_priors(models, quadratic, self.gravity_sigma, self.pixel_sigma, self.known_heading is not None)
+        return self.priors.added_to(Quadratic(cost, gradient, hessian), models)
 
     def _angles(self, models: Models) -> tuple[Float[Tensor, "h 2 2"], Float[Tensor, "h 2"]]:
         """Tilts and headings of both cameras."""
