@@ -221,8 +221,8 @@ def _relative(geometry: str, outliers: float, gravity_deg: float, seed: int) -> 
 def _cramer_rao(problem: Problem) -> float:
     """Root of the trace of the bound on the position, over the baseline: from all true matches and gravity."""
     views = problem.two_views().rows(problem.right)
-    truth, everything = problem.true_model()[None], torch.ones(1, len(views), dtype=torch.bool)
-    covariance = torch.linalg.inv(views.linearize(truth, math.inf, everything).hessian[0]) * views.pixel_sigma**2
+    hessian = views.linearize(problem.true_model()[None], math.inf).hessian[0]
+    covariance = torch.linalg.inv(hessian) * views.pixel_sigma**2
     return float(covariance.diagonal()[5:].sum().sqrt()) / problem.baseline
 
 
