@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from torchrefrac import bundle, minimal, ransac, refinement, sfm
-    from torchrefrac.bundle import BundleOptions, adjust_differentiably
+    from torchrefrac.bundle import BundleBatch, BundleOptions, adjust_differentiably, adjust_each
     from torchrefrac.camera import (
         Intrinsics,
         LearnableCamera,
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from torchrefrac.files.truth import load_truth
     from torchrefrac.files.work import Work
     from torchrefrac.geometry import Plane, Rigid
+    from torchrefrac.learning import Rays, RefractiveRays
     from torchrefrac.parallel import ExecutorOptions, Workers
     from torchrefrac.refraction import FlatInterface, solve_refrax, water_index
     from torchrefrac.scene import Cameras, Capture, DenseCloud, Interfaces, Observations, Scene, Survey, Truth, Views
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "bundle": ("BundleOptions", "adjust_differentiably"),
+    "bundle": ("BundleBatch", "BundleOptions", "adjust_differentiably", "adjust_each"),
     "camera": ("Intrinsics", "LearnableCamera", "RefractiveCamera", "from_kornia", "remove_refraction", "to_kornia"),
     "commands.adjust": ("adjust",),
     "commands.import_photographs": ("import_photographs",),
@@ -60,6 +61,7 @@ _HOME = {
     "files.truth": ("load_truth",),
     "files.work": ("Work",),
     "geometry": ("Plane", "Rigid"),
+    "learning": ("Rays", "RefractiveRays"),
     "parallel": ("ExecutorOptions", "Workers"),
     "refraction": ("FlatInterface", "solve_refrax", "water_index"),
     "scene": (
@@ -72,13 +74,14 @@ _MODULES = ("bundle", "minimal", "ransac", "refinement", "sfm")
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
-    "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "ExecutorOptions", "FlatInterface",
-    "ImportOptions", "Interfaces", "Intrinsics", "LearnableCamera", "Observations", "Options", "Plane",
-    "ReadjustOptions", "RefractiveCamera", "Rigid", "Scene", "SfmOptions", "Survey", "TorchrefracError", "Truth",
-    "Views", "Work", "Workers", "adjust", "adjust_differentiably", "bundle", "densify", "embedded_scene",
-    "evaluate", "from_kornia", "import_photographs", "load_cameras", "load_capture", "load_truth", "made_scene",
-    "minimal", "patch_costs", "ransac", "read_scene", "read_survey", "reconstruct", "refinement",
-    "remove_refraction", "sfm", "solve_refrax", "to_kornia", "triangulate_tracks", "water_index",
+    "BundleBatch", "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "ExecutorOptions",
+    "FlatInterface", "ImportOptions", "Interfaces", "Intrinsics", "LearnableCamera", "Observations", "Options",
+    "Plane", "Rays", "ReadjustOptions", "RefractiveCamera", "RefractiveRays", "Rigid", "Scene", "SfmOptions", "Survey",
+    "TorchrefracError", "Truth", "Views", "Work", "Workers", "adjust", "adjust_differentiably", "adjust_each",
+    "bundle", "densify", "embedded_scene", "evaluate", "from_kornia", "import_photographs", "load_cameras",
+    "load_capture", "load_truth", "made_scene", "minimal", "patch_costs", "ransac", "read_scene", "read_survey",
+    "reconstruct", "refinement", "remove_refraction", "sfm", "solve_refrax", "to_kornia", "triangulate_tracks",
+    "water_index",
 ]  # fmt: skip
 
 

@@ -142,7 +142,8 @@ def unwrapped(value: Shaped[Tensor, "..."]) -> Shaped[Tensor, "..."]:
 def can_be_looked_at(values: Shaped[Tensor, "..."]) -> bool:
     """Whether what is computed may depend on numbers: on a GPU they can be looked at only at a price, and not at all
     while a function is compiled or transformed, or where its derivative is wanted."""
-    return not (values.is_cuda or torch.compiler.is_compiling() or values.requires_grad or is_wrapped(values))
+    is_far = values.device.type != "cpu"
+    return not (is_far or torch.compiler.is_compiling() or values.requires_grad or is_wrapped(values))
 
 
 def is_wrapped(value: Shaped[Tensor, "..."]) -> bool:

@@ -35,17 +35,38 @@ def jacobian_of(function, layout: Layout, state: Scene) -> Tensor:
 
 
 def weighted_residuals(problem, observations: Observations, at: Scene):
-    """The function state -> residuals (K) whose Gauss-Newton system the problem linearised at `at` must have."""
+    """The function state -> residuals (K) whose Gauss-Newton system the problem linearised at `at` must have: that of a
+    quadratic with the gradient of the loss, curved by its weight across each residual, and along it by what the loss
+    has there or by half the weight."""
     options, layout = problem.options, problem.layout
-    square = errors_of(at, observations).square().sum(dim=-1, keepdim=True)
-    root = robust(square, options.loss, options.loss_scale)[1].sqrt()
+    error = errors_of(at, observations).detach()
+    values, directions = torch.linalg.eigh(curvature_of(error, options.loss, options.loss_scale))
+    root = directions * values.sqrt()[:, None] @ directions.mT
+    weight = robust(error.square().sum(dim=-1), options.loss, options.loss_scale)[1]
+    pull = torch.linalg.solve(root, (weight[:, None] * error)[..., None])[..., 0]
 
     def residuals(state: Scene) -> Tensor:
-        parts = [(root * errors_of(state, observations)).flatten()]
+        change = errors_of(state, observations) - error
+        parts = [((root @ change[..., None])[..., 0] + pull).flatten()]
         parts += [options.pixel_sigma * term.residuals(state, layout).value.flatten() for term in problem.terms]
         return torch.cat(parts)
 
     return residuals
+
+
+def curvature_of(error: Tensor, loss, scale: float) -> Tensor:
+    """(K, 2, 2): of half the loss in each error, by a loop and the derivative of the weight that autograd knows; along
+    the error half the weight at least."""
+    found = []
+    for one in error.detach():
+        s = one.square().sum().requires_grad_()
+        _, weight = robust(s, loss, scale)
+        (of_weight,) = torch.autograd.grad(weight, s) if weight.requires_grad else (torch.zeros(()),)
+        weight, along, square = float(weight.detach()), one / one.norm().clamp(min=1e-300), float(one.square().sum())
+        radial = max(weight + 2.0 * square * float(of_weight), 0.5 * weight)
+        projector = torch.outer(along, along)
+        found.append(radial * projector + weight * (torch.eye(2, dtype=one.dtype) - projector))
+    return torch.stack(found)
 
 
 def cost_by_definition(problem, observations: Observations, state: Scene) -> Tensor:

@@ -9,12 +9,14 @@ from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from tests.dense.rendered_scenes import Board, cameras_around, marble, render
+from tests.made_device import on_every_device
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.dense.atlas import Atlas
 from torchrefrac.dense.photometric import WORST, Agreement, Comparison, patch_costs, unit_windows
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.window import Window
 from torchrefrac.geometry import Plane, so3_exp
+from torchrefrac.numerics import on_device
 from torchrefrac.optim.batched import Quadratic
 from torchrefrac.refraction import FlatInterface
 
@@ -105,6 +107,19 @@ def test_agreement_is_the_zncc_of_the_windows_as_numpy_samples_them(draw, photog
     assert agreement.usable.all()
     torch.testing.assert_close(agreement.zncc, torch.tensor(expected, dtype=torch.float64), rtol=0.0, atol=1e-10)
     assert agreement.zncc.amax() > 0.9
+
+
+@on_every_device
+def test_costs_and_their_models_are_those_of_the_cpu_on_other_devices(draw, photographs, device):
+    cameras, images = photographs["a steep slope"]
+    pixels, states = _patches(draw, cameras, BOARDS["a steep slope"])
+    here = _comparison(cameras, Atlas.build(list(images), 1), pixels)
+
+    there = _model(on_device(here, device), states.to(device))
+
+    for one, other in zip(there, _model(here, states), strict=True):
+        assert one.device.type == device
+        torch.testing.assert_close(one.cpu(), other, rtol=1e-10, atol=1e-10)
 
 
 @for_every_board

@@ -8,6 +8,7 @@ import torch
 
 from tests.tolerances import DTYPES, assert_matches
 from torchrefrac.optim import LossName, huber, robust
+from torchrefrac.optim.loss import BENDING, LEAST_CURVATURE, radial_curvature, turned
 
 every = pytest.mark.parametrize("loss", get_args(LossName))
 
@@ -124,3 +125,40 @@ def test_truncated_takes_no_notice_of_what_lies_beyond_the_scale():
 
     assert rho.tolist() == [8.9, 9.0, 9.0, 9.0, 9.0]
     assert weight.tolist() == [1.0, 1.0, 0.0, 0.0, 0.0]
+
+
+@every
+def test_the_curvature_along_the_residual_is_half_the_second_derivative(draw, loss):
+    length = draw.uniform(0.05, 3.0, 100).requires_grad_()
+    length = length[((length - 0.7).abs() > 1e-6).nonzero()[:, 0]]
+
+    rho, weight = robust(length.square(), loss, 0.7)
+
+    (slope,) = torch.autograd.grad(rho.sum(), length, create_graph=True)
+    (second,) = torch.autograd.grad(slope.sum(), length)
+    assert_matches(radial_curvature(weight.detach(), loss), 0.5 * second, slack=10.0)
+
+
+@pytest.mark.parametrize("loss", BENDING)
+def test_turned_residuals_have_the_gradient_and_the_curvature_of_the_loss_as_far_as_that_is_positive(draw, loss):
+    residual = draw.uniform(-2.0, 2.0, 2, 200)
+    square = residual.square().sum(dim=0)
+    _, weight = robust(square, loss, 0.7)
+
+    bend, longer = turned((residual[0], residual[1]), weight, loss)
+
+    turn = torch.eye(2, dtype=torch.float64) - torch.einsum("k, ik, jk -> kij", bend, residual, residual)
+    along = residual.T / square.sqrt()[:, None]
+    curvature = torch.einsum("ki, kij, kjl, kl -> k", along, turn, turn, along)
+    assert_matches(curvature, (radial_curvature(weight, loss) / weight).clamp(min=LEAST_CURVATURE), slack=10.0)
+    assert_matches(torch.einsum("kij, kjl, lk, k -> ik", turn, turn, residual, longer), residual, slack=10.0)
+
+
+@pytest.mark.parametrize("loss", BENDING)
+def test_a_residual_of_zero_is_not_turned(loss):
+    zero = torch.zeros(3, dtype=torch.float64)
+
+    bend, longer = turned((zero, zero), torch.ones(3, dtype=torch.float64), loss)
+
+    assert bend.tolist() == [0.0] * 3
+    assert longer.tolist() == [1.0] * 3

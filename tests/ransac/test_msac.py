@@ -19,6 +19,8 @@ class Location:
     whether thoroughly).
     """
 
+    device = torch.device("cpu")
+
     def __init__(self, data, sample_size=1, answer=None, better=None, hits=1.0, reason="", is_promising=True):
         self.data, self.sample_size, self.num_data = data, sample_size, len(data)
         self.answer, self.better, self.samples_per_hit, self.reason = answer, better, hits, reason

@@ -13,7 +13,8 @@ MODELS = ("none", "radial", "refractive")
 
 
 def measured_run(*arguments: str) -> dict[str, Any]:
-    """The metrics of `torchrefrac` with these arguments, its time `wall` in seconds and memory `peak` in GiB."""
+    """The metrics of `torchrefrac` with these arguments, its time `wall`, and `processor` of all its
+    processes, in seconds, and its memory `peak` in GiB."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "torchrefrac", *arguments, f"out={folder}"]
         start = time.perf_counter()
@@ -23,4 +24,5 @@ def measured_run(*arguments: str) -> dict[str, Any]:
         if status != 0:
             sys.exit(f"{' '.join(command)} ended with status {os.waitstatus_to_exitcode(status)}")
         metrics = json.loads((Path(folder) / "metrics.json").read_text(encoding="utf-8"))
-    return metrics | {"wall": wall, "peak": usage.ru_maxrss / 2**20}
+    processor = usage.ru_utime + usage.ru_stime
+    return metrics | {"wall": wall, "processor": processor, "peak": usage.ru_maxrss / 2**20}

@@ -91,14 +91,15 @@ class _Kind:
         return torch.einsum("kis,sk->ik", self.by_value, gradient) * self.precision
 
     @cached_property
-    def cells(self) -> list[Int[Tensor, " k"]]:
-        """The cell of each observation, for each of the parts."""
+    def cells(self) -> list[tuple[Int[Tensor, " k"], int]]:
+        """The cell of each observation, and how many there are, for each of the parts."""
         found = []
         for part in PARTS:
             at = (self.place / (self.extent / part)).floor().long()
             at = at - at.amin(dim=0)
             code = (self.group * (at[:, 0].max() + 1) + at[:, 0]) * (at[:, 1].max() + 1) + at[:, 1]
-            found.append(torch.unique(code, return_inverse=True)[1])
+            codes, cell = torch.unique(code, return_inverse=True)
+            found.append((cell, len(codes)))
         return found
 
     def sums(self, residuals: Float[Tensor, "2 k"]) -> list[Float[Tensor, ""]]:
@@ -113,8 +114,8 @@ class _Kind:
     def _pair_sums(self, values: Float[Tensor, "2 k"]) -> Iterator[Float[Tensor, ""]]:
         """Products of different values of a component, over the pairs in each cell."""
         alone = values.square().sum()
-        for cell in self.cells:
-            yield segment_sum_columns(values, cell, int(cell.max()) + 1).square().sum() - alone
+        for cell, count in self.cells:
+            yield segment_sum_columns(values, cell, count).square().sum() - alone
 
     def _scores(self, residuals: Float[Tensor, "2 k"]) -> Float[Tensor, "2 k"]:
         precise = residuals * self.precision

@@ -105,8 +105,8 @@ def _count(motions: Float[Tensor, "size 7"], notices: Float[Tensor, "k 7"]) -> i
 def _unnoticed(notices: Float[Tensor, "k 7"], count: int) -> Float[Tensor, "7 {count}"]:
     """An orthonormal basis of the combinations that are not noticed, by inverse iteration."""
     triangle = _triangle(notices)
-    row, column = torch.meshgrid(torch.arange(7), torch.arange(count), indexing="ij")
-    basis = torch.cos((row + 0.5) * (column + 1.0)).to(triangle)
+    row, column = (torch.arange(n, device=triangle.device) for n in (7, count))
+    basis = torch.cos((row[:, None] + 0.5) * (column + 1.0)).to(triangle)
     for _ in range(ROUNDS):
         basis = torch.linalg.qr(torch.linalg.solve_triangular(triangle.T, basis, upper=False)).Q
         basis = torch.linalg.qr(torch.linalg.solve_triangular(triangle, basis, upper=True)).Q

@@ -15,6 +15,7 @@ from torchrefrac.camera.jacobians import Axes
 from torchrefrac.geometry import Plane
 from torchrefrac.numerics import columns_at
 from torchrefrac.optim import LossName, RowLayout, in_cache, robust
+from torchrefrac.optim.loss import BENDING, turned
 from torchrefrac.scene import Interfaces, Observations, Scene
 from torchrefrac.scene.interfaces import layered, without_water
 
@@ -102,6 +103,36 @@ class RowModel:
         return RowLayout.of(*map(sum, widths))
 
 
+class _Weights(NamedTuple):
+    """What the two rows of an observation are multiplied by: each by a number of its own, and what it takes from the
+    other by a third, where there is one."""
+
+    own: tuple[Float[Tensor, " k"], Float[Tensor, " k"]]
+    other: Float[Tensor, " k"] | None
+
+    @classmethod
+    def of(
+        cls,
+        root: Float[Tensor, " k"],
+        residual: tuple[Float[Tensor, " k"], Float[Tensor, " k"]],
+        bend: Float[Tensor, " k"],
+    ) -> "_Weights":
+        """The matrix root (I - bend r r') of residuals r."""
+        bent = root * bend * residual[0], root * bend * residual[1]
+        own = (
+            torch.addcmul(root, bent[0], residual[0], value=-1.0),
+            torch.addcmul(root, bent[1], residual[1], value=-1.0),
+        )
+        return cls(own, -bent[0] * residual[1])
+
+    def weigh(
+        self, parts: Sequence[Float[Tensor, " k"]], axis: int, out: Float[Tensor, " k"] | None = None
+    ) -> Float[Tensor, " k"]:
+        """Of a column of both rows, what stands in that of an axis."""
+        weighted = torch.mul(parts[axis], self.own[axis], out=out)
+        return weighted if self.other is None else weighted.addcmul_(parts[1 - axis], self.other)
+
+
 def observation_rows(
     model: RowModel, scene: Scene, seen: Observations, compiled: bool = False, out: Float[Tensor, "..."] | None = None
 ) -> tuple[Float[Tensor, "2 row k"], Float[Tensor, ""]]:
@@ -119,10 +150,10 @@ def observation_rows(
         if compiled:
             rho = _compiled()(rows[..., here], model, *_gathered(model, scene, seen[here]))
         else:
-            axes, root, rho = _parts(model, *_gathered(model, scene, seen[here]))
-            for axis, parts in enumerate(axes):
-                for number, part in enumerate(parts):
-                    torch.mul(part, root, out=rows[axis, number, here])
+            axes, weights, rho = _parts(model, *_gathered(model, scene, seen[here]))
+            for number, parts in enumerate(zip(*axes, strict=True)):
+                for axis in (0, 1):
+                    weights.weigh(parts, axis, rows[axis, number, here])
         if seen.weight is not None:
             rows[..., here] *= seen.weight[here].sqrt()
             rho = rho * seen.weight[here]
@@ -184,8 +215,8 @@ def _parts(
     layers: Float[Tensor, "*interface inner"],
     thickness: Float[Tensor, "*interface inner"],
     precision: Float[Tensor, "*precision"],
-) -> tuple[list[list[Float[Tensor, " k"]]], Float[Tensor, " k"], Float[Tensor, " k"]]:
-    """The rows of u and those of v, by what they are to be multiplied, and rho."""
+) -> tuple[list[list[Float[Tensor, " k"]]], _Weights, Float[Tensor, " k"]]:
+    """The rows of u and those of v, how they are to be weighted, and rho."""
     intrinsics = Intrinsics(1, 1, focal, principal_point, distortion, fisheye, check=False)
     media, plane = (layers.unbind(dim=-1), thickness.unbind(dim=-1)), Plane(normal, offset, check=False)
     interface = layered(index_ratio, *media, plane, model.moves_with_camera)
@@ -195,22 +226,28 @@ def _parts(
     residual = pixel[0] - pixels[:, 0], pixel[1] - pixels[:, 1]
     square = torch.addcmul(residual[0] * residual[0], residual[1], residual[1]) * precision.square()
     rho, weight = robust(square, model.loss, model.loss_scale)
-    impossible, _ = robust(square.new_tensor(IMPOSSIBLE_PX**2), model.loss, model.loss_scale)
+    impossible, _ = robust(square.new_full((), IMPOSSIBLE_PX**2), model.loss, model.loss_scale)
     root = torch.where(valid, weight.sqrt() * precision, 0.0)
+    weights = _Weights((root, root), None)
+    if model.loss in BENDING:
+        bend, longer = turned(residual, weight, model.loss)
+        weights = _Weights.of(root, residual, bend)
+        residual = residual[0] * longer, residual[1] * longer
     axes = []
     for axis in (0, 1):
         parts = [part for name in POSE for part in by[name][axis]]
         parts += [part for name in model.intrinsics for part in INTRINSICS[name].of(by, focal, axis)]
         parts += [part for name in model.water for part in WATER[name].of(by, axis, thickness)]
         axes.append([*parts, *by["point"][axis], residual[axis]])
-    return axes, root, torch.where(valid, rho, impossible)
+    return axes, weights, torch.where(valid, rho, impossible)
 
 
 def _rows(
     model: RowModel, fisheye: Mask, *tensors: Float[Tensor, "..."]
 ) -> tuple[Float[Tensor, "2 row k"], Float[Tensor, " k"]]:
-    axes, root, rho = _parts(model, fisheye, *tensors)
-    return torch.stack([part * root for axis in axes for part in axis]).unflatten(0, (2, -1)), rho
+    axes, weights, rho = _parts(model, fisheye, *tensors)
+    each = [torch.stack([weights.weigh(parts, axis) for parts in zip(*axes, strict=True)]) for axis in (0, 1)]
+    return torch.stack(each), rho
 
 
 def _write_rows(

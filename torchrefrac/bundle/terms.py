@@ -17,6 +17,7 @@ from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.rows import INTRINSICS, MEDIA
 from torchrefrac.checks import Range, require_ranges
 from torchrefrac.geometry import Plane, rotate, skew
+from torchrefrac.numerics import like
 from torchrefrac.scene import Cameras, Interfaces, Scene
 
 
@@ -49,7 +50,7 @@ class GravityPrior:
         rotation = scene.views.rotation
         view = torch.arange(len(rotation), device=rotation.device) if self.view is None else self.view
         predicted = -rotation[view][:, :, 2] if self.up is None else -rotate(rotation[view], self.up.to(rotation))
-        sigma = torch.as_tensor(self.sigma, dtype=predicted.dtype, device=predicted.device).reshape(-1, 1)
+        sigma = like(self.sigma, predicted).reshape(-1, 1)
         value, jacobian = (predicted - self.down_in_cam) / sigma, -skew(predicted) / sigma[..., None]
         return Residuals(value, jacobian, layout.pose_columns(view)[:, :3])
 
@@ -223,7 +224,7 @@ class GlobalPrior:
         self, value: Float[Tensor, "k numbers"], jacobian: Float[Tensor, "*#k width"], columns: Int[Tensor, "k width"]
     ) -> Residuals:
         jacobian = jacobian.expand(len(value), value.shape[1], -1)
-        sigma = torch.as_tensor(self.sigma, dtype=value.dtype, device=value.device).reshape(-1, 1)
+        sigma = like(self.sigma, value).reshape(-1, 1)
         return Residuals(value / sigma, jacobian / sigma[..., None], columns)
 
 

@@ -10,7 +10,8 @@ from torchrefrac.bundle.common_errors import CommonErrors, common_errors
 from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.point_noise import point_variances
 from torchrefrac.bundle.problem import BundleProblem
-from torchrefrac.optim import Covariance, LossName, ReducedCovariance, robust
+from torchrefrac.optim import Covariance, ReducedCovariance, robust
+from torchrefrac.optim.loss import radial_curvature
 from torchrefrac.scene import Scene, largest_deviation
 
 SYSTEMATIC, CELLS = 0.005, 4
@@ -151,14 +152,8 @@ def estimate_pixel_sigma(problem: BundleProblem, scene: Scene) -> float:
     _, weight = robust(square, options.loss, options.loss_scale)
     turned = 0.5 * (weight.square() * square).sum()
     taken = min(problem.unknowns_per_residual, MOST_TAKEN)
-    slopes = _slopes(weight, options.loss)
+    slopes = torch.stack((radial_curvature(weight, options.loss), weight))  # of the weighted residual, along and across
     mean = slopes.mean()
     fitted = 1.0 + taken * (slopes - mean).square().mean() / mean.square()  # K of Huber and Ronchetti, section 7.6
     variance = turned / (len(square) * (1.0 - taken)) * (fitted / mean).square()
     return float(variance.sqrt())
-
-
-def _slopes(weight: Float[Tensor, " k"], loss: LossName) -> Float[Tensor, "2 k"]:
-    """Derivatives of the weighted residual w r along r and across: w + 2 w' s and w."""
-    along = {"huber": torch.where(weight < 1.0, 0.0, weight), "cauchy": weight * (2.0 * weight - 1.0)}
-    return torch.stack((along.get(loss, weight), weight))

@@ -14,7 +14,6 @@ from torch import Tensor
 from torchrefrac.commands.results import (
     MODEL,
     OF_ADJUST,
-    WATER,
     OutRefusedError,
     require_not_replaced,
     require_own,
@@ -35,7 +34,7 @@ from torchrefrac.files.run import RunRecord
 from torchrefrac.files.survey import read_survey
 from torchrefrac.files.tracks import read_scene, write_tracks
 from torchrefrac.files.truth import load_truth
-from torchrefrac.files.water import read_water, write_water
+from torchrefrac.files.water import WATER, read_water, write_water
 from torchrefrac.geometry import Similarity
 from torchrefrac.numerics import segment_sum
 from torchrefrac.recorder import Recorder

@@ -7,9 +7,10 @@ from typing import Any
 import torch
 
 from torchrefrac.commands.densify import open_run
-from torchrefrac.commands.results import MODEL, WATER, require_replaceable
+from torchrefrac.commands.results import MODEL, require_replaceable
 from torchrefrac.commands.survey_products import require_place, require_surface, write_survey_products
-from torchrefrac.config.clouds import ExportOptions
+from torchrefrac.commands.training_sets import export_training_set
+from torchrefrac.config.clouds import TRAINING_SETS, ExportOptions
 from torchrefrac.files.cameras import CAMERAS, read_cameras
 from torchrefrac.files.colmap.model import STEMS, find_colmap, read_colmap, write_colmap
 from torchrefrac.files.dense import DenseFile
@@ -18,7 +19,7 @@ from torchrefrac.files.run import DENSE_CLOUD, FOR_SURVEYS, RunRecord
 from torchrefrac.files.swap import alone, settle
 from torchrefrac.files.tracks import TRACKS, read_run
 from torchrefrac.files.viewpoints import viewpoints_of, write_angles, write_orientations
-from torchrefrac.files.water import read_water, write_water
+from torchrefrac.files.water import WATER, read_water, write_water
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Georeference, Interfaces, Scene, SceneError
 from torchrefrac.scene.interfaces import WALL
@@ -28,13 +29,15 @@ TABLES = {"opk": "cameras_opk.txt", "csv": "cameras.csv"}
 
 def export_run(options: ExportOptions, recorder: Recorder | None = None) -> dict[str, Any]:
     """Write the registered cameras of a run, or of an adjustment, into the folder `out`, and water.json beside them, or
-    the products of its dense surface; returns what metrics.json there says.
+    the products of its dense surface, or a training set; returns what metrics.json there says.
 
     A COLMAP model is in the frame of the run, with its points; tables are on the map where the run says where it
     stands. Raises SceneError or OutRefusedError.
     """
     if options.format == "survey":
         return export_products(options, recorder or SilentRecorder())
+    if options.format in TRAINING_SETS:
+        return export_training_set(options)
     scene, folder = read_posed(Path(options.run)), Path(options.out)
     place = None if options.format == "colmap" else scene.georeference
     table = TABLES.get(options.format)

@@ -13,8 +13,7 @@ from torchrefrac.features import Features, MatchOptions, PairMatches, SiftOption
 from torchrefrac.features.matching import EXHAUSTIVE
 from torchrefrac.files.masks import Masks
 from torchrefrac.files.work import Arrays, Form, Work
-from torchrefrac.numerics import device_of
-from torchrefrac.numerics.devices import AUTO
+from torchrefrac.numerics import AUTO, device_of
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture
 
@@ -23,7 +22,7 @@ FIELDS = ("pixels", "descriptors", "colors", "noise")
 MATCHES = Form({"count": "i:p", "matches": "i:k2"})
 AT_ONCE = 16
 """Pairs that are matched in one part of the work."""
-SECONDS_AN_IMAGE, SECONDS_A_PRODUCT = 0.3, 8e-9
+SECONDS_AN_IMAGE, SECONDS_A_PRODUCT = 0.3, 2e-9
 """About how long an image takes, and a pair for each product of two descriptors."""
 
 

@@ -14,9 +14,10 @@ from torchrefrac.files.colmap.model import STEMS
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.run import DENSE_RESULTS, DEPTH_MAPS, METRICS, PARTS, WORK, RunRecord, RunRecordError, RunStatus
 from torchrefrac.files.swap import PARTIAL, alone, finish, swap
+from torchrefrac.files.water import WATER
 from torchrefrac.record.recorders import EVENTS, LOG
 
-MODEL, WATER, REPORT, OPTIONS = "colmap", "water.json", "report.html", ".hydra"
+MODEL, REPORT, OPTIONS = "colmap", "report.html", ".hydra"
 RESULTS = ("features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png")
 FURTHER, SCENE_FILES = "reconstructions", ("cameras.json", "points.ply", "tracks.npz")
 """Of a run that falls into several: the metric that has them, and what is written of each beside the largest."""

@@ -10,6 +10,8 @@ from torchrefrac.config.options import DenseOutputs
 from torchrefrac.correction import CorrectionRules
 from torchrefrac.sfm.rules import MAX_ERROR
 
+TRAINING_SETS = ("nerfstudio", "gsplat")
+"""Forms of export that have the photographs beside the cameras."""
 ANY_HEIGHT = Range(at_least=-1e9, at_most=1e9)
 
 
@@ -65,11 +67,12 @@ class CorrectOptions(CorrectionRules):
 class ExportOptions:
     """The folder of a run, or of an adjustment, and the form in which its cameras, or the products of its dense surface
     ("survey"), are written into a folder. outputs: which products. capture: folder of the photographs, of which an
-    orthophoto is made, by default the one that the run names. quiet: only errors are said."""
+    orthophoto is made, and which "nerfstudio" and "gsplat" need; by default the one that the run names. quiet: only
+    errors are said."""
 
     run: str
     out: str
-    format: Literal["colmap", "opk", "csv", "survey"] = "colmap"
+    format: Literal["colmap", "opk", "csv", "survey", "nerfstudio", "gsplat"] = "colmap"
     outputs: DenseOutputs = field(default_factory=DenseOutputs)
     capture: str | None = None
     quiet: bool = False

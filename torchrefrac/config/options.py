@@ -11,8 +11,7 @@ from torchrefrac.dense import DenseOptions
 from torchrefrac.features import MatchOptions, SiftOptions
 from torchrefrac.files.geotiff import require_geotiff
 from torchrefrac.files.las import require_las
-from torchrefrac.numerics import device_of
-from torchrefrac.numerics.devices import AUTO
+from torchrefrac.numerics import AUTO, device_of
 from torchrefrac.parallel import ExecutorOptions
 from torchrefrac.refraction import water_index
 from torchrefrac.scene.interfaces import MAX_INDEX_RATIO
@@ -119,7 +118,7 @@ class Options:
 
     survey: path of a survey.json, a gcp_list.txt or a table of control points; None: the survey.json beside the
     capture.json, if there is one. compare_land: whether the photographs are reconstructed without refraction, too, to
-    say how far land differs. device: where descriptors are matched, see `device_of`.
+    say how far land differs. device: where descriptors are matched, see `device_of`; `sfm` and `dense` have their own.
     """
 
     model: ModelOptions = field(default_factory=ModelOptions)

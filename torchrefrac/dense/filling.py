@@ -19,11 +19,11 @@ from torchrefrac.dense.scope import Scope, scopes
 from torchrefrac.dense.seeds import cover, cover_repeated, matched_seeds, settle, sparse_seeds
 from torchrefrac.dense.store import Store
 from torchrefrac.dense.sweeping.sweep import sweep
+from torchrefrac.numerics import CPU
 from torchrefrac.recorder import Recorder
 
 STEP = 1 << 14  # cells of a sweep that are refined before they are reported
 CAREFUL = 0.5  # of the last step of an adjustment, where it begins from a sweep's guesses, which are farther off
-HOME = torch.device("cpu")
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def fill_view(job: ViewJob, report: Callable[[int, int], None] | None = None) ->
     for scope in scopes(job.neighbourhood, job.images, options):
         cells, before = Cells(scope, options.cell), Patches.together([*parts[:1], *job.known, *parts[1:]])
         for patches in METHODS[options.method](scope, cells, before.to(scope.device), options):
-            parts.append(patches.padded(options.views).to(HOME))
+            parts.append(patches.padded(options.views).to(CPU))
             if report is not None:
                 report(cells.filled_since(), len(patches))
     return Patches.together(parts)

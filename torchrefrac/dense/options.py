@@ -4,8 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from torchrefrac.checks import Range, require_ranges
-from torchrefrac.numerics import device_of
-from torchrefrac.numerics.devices import AUTO
+from torchrefrac.numerics import AUTO, device_of
 
 Method = Literal["none", "patch", "depthmap"]
 COUNT, SOME = Range(at_least=1, at_most=1_000_000), Range(at_least=2, at_most=1_000_000)

@@ -7,14 +7,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchrefrac.checks import Range, require_ranges
+from torchrefrac.features.rough_products import Nearest, RoughDescriptors, nearest_of
 
-CHUNK, TILE = 512, 1024
-"""Rows and columns multiplied at a time: what comes out is looked through while the processor's cache has it."""
-GROUPS = 128
-"""Of columns, every so many-th in one: the second largest of a row is the largest of its group, or lies in the same
-group as the largest of all. To look for two of few groups, and of one group, is cheaper than to look for two of all."""
-
-
+AT_ONCE = 1 << 24
+"""Products that are looked for exactly at a time."""
 RANGES = {
     "ratio": Range(above=0.0, at_most=1.0),
     "per_image": Range(at_least=1, at_most=1_000_000),
@@ -48,46 +44,53 @@ def match(
 ) -> Int[Tensor, "k 2"]:
     """Index pairs of matching unit descriptors, ascending in the first column.
 
-    Exhaustive; works through chunks of rows so that memory stays small.
+    Exhaustive: rough products say of nearly all descriptors what exact ones do, and which these are; exact products of
+    single precision decide about the others. Works through chunks of rows so that memory stays small.
     """
     if len(descriptors1) < 1 or len(descriptors2) < 2:
         return torch.zeros(0, 2, dtype=torch.long, device=descriptors1.device)
-    similarity, target, best = _nearest(descriptors1, descriptors2)
-    squared_distance = (2.0 - 2.0 * similarity).clamp(min=0.0)
-    distinct = squared_distance[:, 0] < options.ratio**2 * squared_distance[:, 1]
-    rows = torch.arange(len(descriptors1), device=descriptors1.device)
-    nearest = similarity[:, 0] == best[target]
-    first = torch.full_like(best, len(rows), dtype=torch.long)  # of several that are as near
-    first.scatter_reduce_(0, target[nearest], rows[nearest], "amin")
-    mutual = distinct & (first[target] == rows)
+    first, second = RoughDescriptors.of(descriptors1), RoughDescriptors.of(descriptors2)
+    rows, target = _distinct(descriptors1, descriptors2, nearest_of(first, second), options.ratio)
+    wanted, place = target.unique(return_inverse=True)
+    back = nearest_of(second.rows(wanted), first)
+    nearest, unclear = back.target, (~back.is_certain).nonzero()[:, 0]
+    nearest[unclear], _ = _exactly_nearest(descriptors2[wanted[unclear]], descriptors1)
+    mutual = nearest[place] == rows
     return torch.stack((rows[mutual], target[mutual]), dim=-1)
 
 
-def _nearest(
-    descriptors1: Float[Tensor, "n d"], descriptors2: Float[Tensor, "m d"]
-) -> tuple[Float[Tensor, "n 2"], Int[Tensor, " n"], Float[Tensor, " m"]]:
-    """The two largest scalar products of each row of the first with rows of the second, which one is the larger's, and
-    the largest of each row of the second. One buffer serves all chunks: new memory takes as long as what is computed.
-    """
-    n, m, members = len(descriptors1), len(descriptors2), max(-(-len(descriptors2) // GROUPS), 2)
-    buffer = descriptors1.new_full((min(CHUNK, n), members * GROUPS), -torch.inf)
-    two, target = descriptors1.new_empty(n, 2), torch.empty(n, dtype=torch.long, device=descriptors1.device)
-    best = descriptors1.new_full((m,), -torch.inf)
-    for start in range(0, n, CHUNK):
-        rows = descriptors1[start : start + CHUNK]
-        similarity = buffer[: len(rows)]
-        of_groups = similarity.new_full((len(rows), GROUPS), -torch.inf)
-        for first in range(0, m, TILE):
-            last = min(first + TILE, m)
-            part = similarity[:, first:last]
-            torch.mm(rows, descriptors2[first:last].T, out=part)
-            torch.maximum(best[first:last], part.amax(dim=0), out=best[first:last])
-            padded = similarity[:, first : first + TILE].unflatten(1, (-1, GROUPS))
-            torch.maximum(of_groups, padded.amax(dim=1), out=of_groups)
-        nearest, group = of_groups.topk(2, dim=-1)
-        grouped = similarity.view(len(rows), members, GROUPS)
-        inside, member = grouped.gather(2, group[:, :1, None].expand(-1, members, 1))[..., 0].topk(2, dim=-1)
-        two[start : start + CHUNK, 0] = inside[:, 0]
-        two[start : start + CHUNK, 1] = torch.maximum(inside[:, 1], nearest[:, 1])
-        target[start : start + CHUNK] = member[:, 0] * GROUPS + group[:, 0]
-    return two, target, best
+def _distinct(
+    descriptors1: Float[Tensor, "n d"], descriptors2: Float[Tensor, "m d"], found: Nearest, ratio: float
+) -> tuple[Int[Tensor, " k"], Int[Tensor, " k"]]:
+    """Which of the first pass the ratio test, and their nearest of the second."""
+    most, least = _limit(found.second - found.error, ratio), _limit(found.second + found.error, ratio)
+    rows = (_squared_distance(found.largest + found.error) < most).nonzero()[:, 0]
+    target, certain = found.target[rows], found.is_certain[rows]
+    distance = _squared_distance((descriptors1[rows] * descriptors2[target]).sum(dim=1))
+    passes, fails = certain & (distance < least[rows]), certain & (distance >= most[rows])
+    unclear = (~passes & ~fails).nonzero()[:, 0]
+    target[unclear], two = _exactly_nearest(descriptors1[rows[unclear]], descriptors2)
+    passes[unclear] = _squared_distance(two[:, 0]) < _limit(two[:, 1], ratio)
+    return rows[passes], target[passes]
+
+
+def _exactly_nearest(
+    some: Float[Tensor, "k d"], others: Float[Tensor, "m d"]
+) -> tuple[Int[Tensor, " k"], Float[Tensor, "k 2"]]:
+    """Of several that are as near the first, and the two largest products."""
+    nearest, two = torch.empty(len(some), dtype=torch.long, device=some.device), some.new_empty(len(some), 2)
+    rows = max(AT_ONCE // len(others), 1)
+    for start in range(0, len(some), rows):
+        done = slice(start, start + rows)
+        products = some[done] @ others.T
+        nearest[done], two[done] = products.argmax(dim=1), products.topk(2, dim=1).values
+    return nearest, two
+
+
+def _squared_distance(product: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+    return (2.0 - 2.0 * product).clamp(min=0.0)
+
+
+def _limit(second: Float[Tensor, " n"], ratio: float) -> Float[Tensor, " n"]:
+    """What the squared distance of the nearest must be less than."""
+    return ratio * ratio * _squared_distance(second)

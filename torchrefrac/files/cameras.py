@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
+from torchrefrac.files.colmap.model import read_colmap
 from torchrefrac.files.fields import Fields, different_names, scene_fields, write_json
 from torchrefrac.files.georeference import GEOREFERENCE, georeference_content, read_georeference
 from torchrefrac.files.interface import INTERFACES, interface_content, read_placed
@@ -23,6 +24,8 @@ from torchrefrac.files.intrinsics import (
 )
 from torchrefrac.files.ply import kind_of_coordinates, write_vertices
 from torchrefrac.files.swap import settle
+from torchrefrac.files.transforms import TRANSFORMS, read_transforms
+from torchrefrac.files.water import WATER, read_water
 from torchrefrac.geometry import Rigid
 from torchrefrac.scene import (
     Assessment,
@@ -37,7 +40,7 @@ from torchrefrac.scene import (
 from torchrefrac.scene.interfaces import SURFACE
 from torchrefrac.scene.tables import PLAIN
 
-CAMERAS, FORMAT, SEVERAL = "cameras.json", "torchrefrac-cameras/1", "torchrefrac-cameras/2"
+CAMERAS, POINTS, FORMAT, SEVERAL = "cameras.json", "points.ply", "torchrefrac-cameras/1", "torchrefrac-cameras/2"
 """The second format has a table of cameras; the first is written where there is one, with five coefficients."""
 LEVELS = "torchrefrac-cameras/3"
 """The same with several water surfaces, of as many epochs: their heights, and which of them an image has."""
@@ -53,14 +56,23 @@ class NamedCameras(RefractiveCamera):
 
 
 def load_cameras(run: str | Path) -> NamedCameras:
-    """The cameras of the registered views of a run, from its folder or its cameras.json.
+    """The cameras of the registered views of a run, from its folder or its cameras.json; or those of a training set or
+    a COLMAP model that `torchrefrac export` wrote, from its folder, with the water of the water.json there.
 
     Raises SceneError, with the file and the field, for anything that cannot be right.
     """
     run = Path(run)
     settle(run)
+    if run.is_dir() and not (run / CAMERAS).is_file() and (run / WATER).is_file():
+        scene = read_transforms(run / TRANSFORMS) if (run / TRANSFORMS).is_file() else read_colmap(run)
+        interfaces, rows = read_water(run / WATER, scene.views.names)
+        return named_cameras(replace(scene, interfaces=interfaces, views=replace(scene.views, interface=rows)))
     scene = read_cameras(run / CAMERAS if run.is_dir() else run)
-    scene = scene.of_views(scene.views.registered)
+    return named_cameras(scene.of_views(scene.views.registered))
+
+
+def named_cameras(scene: Scene) -> NamedCameras:
+    """All views of a scene as one batch."""
     of, views = scene.camera_of(), scene.views
     intrinsics = scene.cameras.of_views(views.camera, coefficients=5)
     return NamedCameras(intrinsics, views.rotation, views.center, of.interface, check=False, names=views.names)

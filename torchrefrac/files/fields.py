@@ -201,7 +201,10 @@ class Fields:
 
     def rotation(self, name: str) -> list[list[float]]:
         """A matrix whose rows are orthonormal and right-handed, to three digits."""
-        rows = self.matrix(name)
+        return self.as_rotation(name, self.matrix(name))
+
+    def as_rotation(self, name: str, rows: list[list[float]]) -> list[list[float]]:
+        """The 3x3 matrix that is, or is a part of, a field, if it is a rotation."""
         errors = [
             sum(a * b for a, b in zip(rows[i], rows[j], strict=True)) - (i == j) for i in range(3) for j in range(3)
         ]

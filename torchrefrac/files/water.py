@@ -14,7 +14,7 @@ from torchrefrac.files.interface import INTERFACES, interface_content, read_inde
 from torchrefrac.scene import Interfaces, Scene
 from torchrefrac.scene.interfaces import SURFACE
 
-FORMAT, PLACES = "torchrefrac-water/1", "torchrefrac-water/2"
+WATER, FORMAT, PLACES = "water.json", "torchrefrac-water/1", "torchrefrac-water/2"
 """The second format has interfaces of any kind, with layers between air and water."""
 
 

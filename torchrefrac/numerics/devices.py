@@ -1,8 +1,16 @@
 """Where tensors are worked on."""
 
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, TypeVar
+
 import torch
+from torch import Tensor
 
 AUTO = "auto"
+CPU = torch.device("cpu")
+
+T = TypeVar("T")
 
 
 def device_of(name: str) -> torch.device:
@@ -15,3 +23,28 @@ def device_of(name: str) -> torch.device:
     except (RuntimeError, AssertionError) as error:  # an assertion where PyTorch was built without CUDA
         reason = str(error).split("\n", maxsplit=1)[0]
         raise ValueError(f"device is {name!r}, which PyTorch cannot use here: {reason}") from None
+
+
+def on_device(value: T, device: torch.device | str) -> T:
+    """The same with all its tensors on a device: itself, or those in dataclasses, tuples, lists and mappings. What lies
+    there is not copied."""
+    return _moved(value, device)
+
+
+def _moved(value: Any, device: torch.device | str) -> Any:
+    if isinstance(value, Tensor):
+        return value.to(device)
+    if is_dataclass(value) and not isinstance(value, type):
+        before = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
+        after = {name: _moved(part, device) for name, part in before.items()}
+        changed = {name: part for name, part in after.items() if part is not before[name]}
+        return replace(value, **changed) if changed else value
+    if isinstance(value, Mapping):
+        after = {key: _moved(part, device) for key, part in value.items()}
+        return value if all(after[key] is part for key, part in value.items()) else after
+    if isinstance(value, list | tuple):
+        parts = [_moved(part, device) for part in value]
+        if all(one is other for one, other in zip(parts, value, strict=True)):
+            return value
+        return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)
+    return value

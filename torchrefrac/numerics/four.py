@@ -11,14 +11,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 PAIRS = tuple(combinations(range(4), 2))
-LEFT, RIGHT = ([pair[k] for pair in PAIRS] for k in (0, 1))
-LAPLACE = (1.0, -1.0, 1.0, 1.0, -1.0, 1.0)  # sign of a pair of columns times its complement
 
 
 def determinant_4x4(matrix: Float[Tensor, "4 4 *batch"]) -> Float[Tensor, "*batch"]:
     """The determinant by Laplace's expansion."""
     upper, lower = _minors(matrix)
-    signed = upper * _along(LAPLACE, upper)
+    sign = upper.new_ones(len(PAIRS), *(1 for _ in upper.shape[1:]))  # of a pair of columns times its complement
+    sign[1::3] = -1.0
+    signed = upper * sign
     return (signed * lower.flip(0)).sum(dim=0)
 
 
@@ -36,11 +36,8 @@ def adjugate_4x4(matrix: Float[Tensor, "4 4 *batch"]) -> Float[Tensor, "4 4 *bat
 def _minors(matrix: Float[Tensor, "4 4 *batch"]) -> tuple[Float[Tensor, "6 *batch"], Float[Tensor, "6 *batch"]]:
     """Those of rows 0 and 1 and of rows 2 and 3, in the order of PAIRS."""
     a, b, c, d = matrix
-    return a[LEFT] * b[RIGHT] - a[RIGHT] * b[LEFT], c[LEFT] * d[RIGHT] - c[RIGHT] * d[LEFT]
-
-
-def _along(values: tuple[float, ...], like: Float[Tensor, "_ *batch"]) -> Float[Tensor, "n *ones"]:
-    return like.new_tensor(values).reshape(-1, *(1 for _ in like.shape[1:]))
+    left, right = torch.triu_indices(4, 4, 1, device=matrix.device)
+    return a[left] * b[right] - a[right] * b[left], c[left] * d[right] - c[right] * d[left]
 
 
 def _expansion() -> list[tuple[tuple[int, ...], tuple[int, ...], tuple[float, ...]]]:

@@ -5,7 +5,7 @@ in the same pass: most steps are accepted, and one pass costs little more than t
 """
 
 import math
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -38,11 +38,40 @@ class SmallProblems(Protocol):
         ...
 
 
+class Model(Protocol):
+    """Costs of K problems in D unknowns, their gradients, and whatever a step is solved from."""
+
+    @property
+    def cost(self) -> Float[Tensor, " k"]: ...
+
+    @property
+    def gradient(self) -> Float[Tensor, "k d"]: ...
+
+    def where(self, these: Bool[Tensor, " k"], other: Any) -> Any:
+        """Of some problems this one, of the rest the other."""
+        ...
+
+
+@runtime_checkable
+class Structured(Protocol):
+    """Problems with a way of their own to solve for steps, and states of E numbers that steps move."""
+
+    def linearize(self, states: Float[Tensor, "k e"]) -> Any:
+        """A `Model`; an impossible state has an infinite or NaN cost."""
+        ...
+
+    def solve(self, model: Any, damping: Float[Tensor, " k"]) -> Float[Tensor, "k d"]:
+        """As `solve_damped`."""
+        ...
+
+    def moved(self, states: Float[Tensor, "k e"], step: Float[Tensor, "k d"]) -> Float[Tensor, "k e"]: ...
+
+
 class SmallReport(NamedTuple):
     """The states, the last quadratic model there, which have converged, and which no step improves at any damping."""
 
-    states: Float[Tensor, "k d"]
-    quadratic: Quadratic
+    states: Float[Tensor, "k e"]
+    quadratic: Any
     converged: Bool[Tensor, " k"]
     stalled: Bool[Tensor, " k"]
 
@@ -57,8 +86,8 @@ class Separable(SmallProblems, Protocol):
 
 
 def minimize_each(
-    problems: SmallProblems,
-    states: Float[Tensor, "k d"],
+    problems: SmallProblems | Structured,
+    states: Float[Tensor, "k e"],
     max_iterations: int = 20,
     tolerance: float = 1e-8,
     damping: float = 1e-4,
@@ -74,32 +103,35 @@ def minimize_each(
     model has no minimum at any damping, does not. Problems that have converged or stalled, at a damping beyond
     `max_damping`, stay as they are; `Separable` ones are left out of later iterations.
     """
+    solve, moved = (problems.solve, problems.moved) if isinstance(problems, Structured) else (solve_damped, torch.add)
     current = problems.linearize(states)
     damp = torch.full_like(current.cost, damping)
     converged = stalled = torch.zeros_like(current.cost, dtype=torch.bool)
     waiting: list[tuple[Int[Tensor, " some"], SmallReport]] = []  # what has left, and the rows that it had
     rows = torch.arange(len(states), device=states.device)
     for _ in range(max_iterations):
-        step = solve_damped(current, damp)
+        step = solve(current, damp)
         promised = _promised(current, step)
         solved = promised.isfinite()
         if undamped:
-            promised = _promised(current, solve_damped(current, torch.zeros_like(damp)))
+            promised = _promised(current, solve(current, torch.zeros_like(damp)))
         small = promised <= tolerance * current.cost + rounding
         converged = converged | (solved & current.cost.isfinite() & small)
         done = converged | stalled
-        if bool(done.all()):
+        finished = int(done.sum())  # one look at a GPU
+        if finished == len(rows):
             break
-        if isinstance(problems, Separable) and int(done.sum()) > LEAVING * len(rows):
-            leave, stay = done.nonzero()[:, 0], (~done).nonzero()[:, 0]
+        if isinstance(problems, Separable) and finished > LEAVING * len(rows):
+            stay, leave = done.argsort(stable=True).split((len(rows) - finished, finished))
             report = SmallReport(states, current, converged, stalled)
             waiting.append((rows[leave], _rows_of(report, leave)))
             states, current, converged, stalled = _rows_of(report, stay)
             problems, rows, damp, step, solved = problems.subset(stay), rows[stay], damp[stay], step[stay], solved[stay]
             done = done[stay]
-        tried = problems.linearize(states + step)
+        candidate = moved(states, step)
+        tried = problems.linearize(candidate)
         better = solved & tried.cost.isfinite() & (tried.cost <= current.cost) & ~done
-        states = torch.where(better[:, None], states + step, states)
+        states = torch.where(better[:, None], candidate, states)
         current = tried.where(better, current)
         damp = torch.where(better, 0.1 * damp, 10.0 * damp)
         stalled = stalled | (~done & (damp > max_damping))
@@ -107,7 +139,7 @@ def minimize_each(
     return _together([*waiting, (rows, report)]) if waiting else report
 
 
-def _promised(quadratic: Quadratic, step: Float[Tensor, "k d"]) -> Float[Tensor, " k"]:
+def _promised(quadratic: Model, step: Float[Tensor, "k d"]) -> Float[Tensor, " k"]:
     """How much lower the models say that costs will be; infinite where a step of zero is no solution."""
     solved = step.any(dim=-1) | ~quadratic.gradient.any(dim=-1)
     return torch.where(solved, -0.5 * (quadratic.gradient * step).sum(dim=-1), torch.inf)

@@ -99,14 +99,15 @@ class ReducedBlocks:
     def laid_out(self, layout: MatrixLayout) -> Float[Tensor, " elements"]:
         """In another layout; what that has not is left out."""
         first = REDUCED_SIZE * len(self.own)
-        numbers, position = self.own.new_zeros(layout.elements), layout.position
+        numbers = self.own.new_zeros(layout.elements + 1)  # the last one for what is left out
+        position = layout.position
         of_block, of_border = position[:first].view(-1, REDUCED_SIZE), position[first:, None]
 
         def put(one: Int[Tensor, "*#k"], other: Int[Tensor, "*#k"], values: Float[Tensor, "*k"]) -> None:
             there = (torch.minimum(one, other) >= 0) & layout.has(one, other)
-            numbers[layout.address(one, other)[there]] = values[there]
+            numbers[torch.where(there, layout.address(one, other), layout.elements)] = values
 
         put(of_block[self.row][:, :, None], of_block[self.column][:, None], self.between)
         put(of_block[:, :, None], of_block[:, None], self.own)
         put(of_border, position, self.border)
-        return numbers
+        return numbers[:-1]

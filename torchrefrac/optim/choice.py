@@ -35,7 +35,7 @@ def choose(system: NormalEquations, solver: ReducedSolver = "auto", max_dense: i
     if solver not in ("auto", "banded"):
         return Method(solver)
     size = system.plan.size
-    if solver == "auto" and (size <= SMALL or system.rows.is_cuda):
+    if solver == "auto" and (size <= SMALL or system.rows.device.type != "cpu"):
         return Method("dense" if size <= max_dense else "iterative")
     order = BandedOrder.of(system)
     affordable = order.flops <= MAX_FLOPS and order.elements <= MAX_NUMBERS

@@ -20,7 +20,7 @@ from torchrefrac.numerics import columns_at
 from torchrefrac.optim.choice import choose
 from torchrefrac.optim.elimination import Elimination, Tiles
 from torchrefrac.optim.factor import Factor, ReducedCovariance, SingularError
-from torchrefrac.optim.normal_equations import DIAGONAL, NEGLIGIBLE, NormalEquations, in_cache
+from torchrefrac.optim.normal_equations import NEGLIGIBLE, NormalEquations, in_cache
 from torchrefrac.optim.plan import ELIMINATED_SIZE, REDUCED_SIZE, TILE
 
 MAX_COVARIANCE = 12000
@@ -60,7 +60,7 @@ class GaussNewtonInverse:
         plan = self.elimination.system.plan
         places = vector.new_zeros(ELIMINATED_SIZE, plan.num_places)
         places[:, plan.place_of] = vector[plan.size :].view(-1, ELIMINATED_SIZE).T
-        places *= (self.elimination.system.eliminated_hessian[DIAGONAL] > NEGLIGIBLE).any(dim=0)
+        places *= (self.elimination.system.eliminated_diagonal > NEGLIGIBLE).any(dim=0)
         right = torch.where(self.dead, 0.0, vector[: plan.size])
         right = right - self.elimination.to_reduced(self.elimination.times_inverse(places))
         reduced = self.factor.solve(right[:, None])[:, 0]
@@ -188,7 +188,7 @@ class Covariance:
         """X of every place as a matrix."""
         factor = self.elimination.factor
         x = factor.new_zeros(factor.shape[1], ELIMINATED_SIZE, ELIMINATED_SIZE)
-        i, j = torch.tril_indices(ELIMINATED_SIZE, ELIMINATED_SIZE)
+        i, j = torch.tril_indices(ELIMINATED_SIZE, ELIMINATED_SIZE, device=x.device)
         x[:, i, j] = factor.T
         return x
 

@@ -90,20 +90,20 @@ def conjugate_gradients(
     direction = z
     size = start = residual @ z
     gain = last = torch.zeros_like(size)
-    for iteration in range(max_iterations):
-        if bool((size <= tolerance**2 * start) | (iteration * last < forcing * gain)):
+    ended = size <= tolerance**2 * start
+    for iteration in range(1, max_iterations + 1):
+        if bool(ended):  # one look at a GPU
             break
         along = times(direction)
         bend = direction @ along
-        if not bool(bend > 0.0):
-            break
         length = size / bend
         last = length * size
         gain = gain + last
-        x, residual = x + length * direction, residual - length * along
+        x, residual = torch.where(bend > 0.0, x + length * direction, x), residual - length * along
         z = precondition(residual)
         before, size = size, residual @ z
         direction = z + (size / before) * direction
+        ended = (size <= tolerance**2 * start) | (iteration * last < forcing * gain) | ~(bend > 0.0)
     return x
 
 

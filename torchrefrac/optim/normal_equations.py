@@ -24,7 +24,6 @@ NEGLIGIBLE = 1e-18
 MANY_LONE = 100
 """Blocks of further unknowns, from which on it pays to look whether they are alone."""
 LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
-DIAGONAL = [LOWER.index((i, i)) for i in range(ELIMINATED_SIZE)]
 Rows = Float[Tensor, "residuals row observations"]
 
 
@@ -76,6 +75,11 @@ class NormalEquations:
     def diagonal(self) -> Float[Tensor, " size"]:
         """Of B."""
         return self._scattered([(b.columns, b.hessian.diagonal(dim1=1, dim2=2)) for b in self.blocks])
+
+    @cached_property
+    def eliminated_diagonal(self) -> Float[Tensor, "3 places"]:
+        """Of V."""
+        return torch.stack([self.eliminated_hessian[LOWER.index((i, i))] for i in range(ELIMINATED_SIZE)])
 
     @property
     def dead(self) -> Bool[Tensor, " size"]:

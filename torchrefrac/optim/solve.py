@@ -11,7 +11,7 @@ from torchrefrac.optim.elimination import Elimination
 from torchrefrac.optim.factor import step_of
 from torchrefrac.optim.iterative import IterativeOptions, solve_iteratively
 from torchrefrac.optim.levenberg_marquardt import Step
-from torchrefrac.optim.normal_equations import DIAGONAL, NormalEquations
+from torchrefrac.optim.normal_equations import NormalEquations
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,5 @@ class Linearized:
             reduced, solved = step_of(self.method.factor(elimination))
         places = elimination.back_substitute(reduced)
         gain = -(system.gradient @ reduced) - (system.eliminated_gradient * places).sum()
-        diagonal = system.eliminated_hessian[DIAGONAL]
-        bend = (system.diagonal * reduced * reduced).sum() + (diagonal * places * places).sum()
+        bend = (system.diagonal * reduced * reduced).sum() + (system.eliminated_diagonal * places * places).sum()
         return Step(reduced, places[:, system.plan.place_of].T, 0.5 * (gain + damping * bend), solved)

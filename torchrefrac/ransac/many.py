@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
+from torchrefrac.checks import can_be_looked_at
 from torchrefrac.ransac.pose import (
     AbsolutePoseEstimator,
     D,
@@ -53,6 +54,10 @@ class PoseEstimators(Generic[D]):
     def samples_per_hit(self) -> Sequence[float]:
         return self._samples_per_hit
 
+    @property
+    def device(self) -> torch.device:
+        return self._counts.device
+
     def is_promising(self, problem: int) -> bool:
         return self._each[problem].is_promising
 
@@ -65,7 +70,7 @@ class PoseEstimators(Generic[D]):
         self, models: Float[Tensor, "k d"], owner: Int[Tensor, " k"], max_error: float, rows: Rows, thorough: bool
     ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
         stages = self._each[0].thorough if thorough else self._each[0].quick
-        width = int(self._counts[owner].max()) if rows is None else rows.shape[1]
+        width = self._width(owner) if rows is None else rows.shape[1]
         found = [
             optimized(self._data(of, rows, some.dtype), some, max_error, stages, thorough)
             for some, of in _in_cache(width, models, owner)
@@ -76,7 +81,8 @@ class PoseEstimators(Generic[D]):
     def degeneracies(
         self, models: Float[Tensor, "k d"], owner: Int[Tensor, " k"], inliers: Bool[Tensor, "k n"]
     ) -> list[str]:
-        rows = pad_sequence([some.nonzero()[:, 0] for some in inliers], batch_first=True, padding_value=-1)
+        of_each = inliers.nonzero()[:, 1].split(inliers.sum(dim=1).tolist())
+        rows = pad_sequence(list(of_each), batch_first=True, padding_value=-1)
         return [
             why
             for some, of, agreeing in _in_cache(rows.shape[1], models, owner, rows)
@@ -87,8 +93,12 @@ class PoseEstimators(Generic[D]):
         """Those of the problem of each model."""
         table = self._of_problems(rows, dtype)
         if rows is None:
-            table = table.no_wider_than(max(int(self._counts[owner].max()), 1))
+            table = table.no_wider_than(max(self._width(owner), 1))
         return table.of_models(owner)
+
+    def _width(self, owner: Int[Tensor, " k"]) -> int:
+        """Of a table in which the problems of the models have room; that of all where looking would cost more."""
+        return int(self._counts[owner].max()) if can_be_looked_at(owner) else len(self._table)
 
     def _of_problems(self, rows: Rows, dtype: torch.dtype) -> D:
         """Those `rows` of each problem, by default all; looked up once."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from torchrefrac.checks import Range, require_ranges
@@ -37,6 +37,11 @@ class Estimator(Protocol):
     @property
     def samples_per_hit(self) -> float:
         """How many samples without outliers it takes, on average, for one that is good enough to be optimised."""
+        ...
+
+    @property
+    def device(self) -> torch.device:
+        """Where the data are."""
         ...
 
     @property
@@ -79,6 +84,9 @@ class Estimators(Protocol):
 
     @property
     def samples_per_hit(self) -> Sequence[float]: ...
+
+    @property
+    def device(self) -> torch.device: ...
 
     def is_promising(self, problem: int) -> bool: ...
 
@@ -180,7 +188,7 @@ def ransac_each(
     """`ransac` of many problems, whose batches are one; each draws from a generator of its own, as many samples as it
     needs, and does not see the others."""
     searches = [_Search(estimators, problem, options, generator) for problem, generator in enumerate(generators)]
-    rows = _screened(searches)
+    rows = _screened(searches, estimators.device)
     while active := [search for search in searches if search.left > 0]:
         _batch(estimators, active, rows, options)
     return _reports(estimators, searches)
@@ -203,6 +211,10 @@ class _Alone:
     @property
     def samples_per_hit(self) -> Sequence[float]:
         return [self.estimator.samples_per_hit]
+
+    @property
+    def device(self) -> torch.device:
+        return self.estimator.device
 
     def is_promising(self, problem: int) -> bool:
         return self.estimator.is_promising
@@ -245,8 +257,9 @@ class _Search:
         self.enough = self.count >= self.needed
         self.least = self.needed / max(self.count, 1)
         self.size, self.drawn, self.wanted = options.batch_size, 0, 0
-        self.model = torch.zeros(0)
-        self.inliers = torch.zeros(self.count, dtype=torch.bool)
+        self.model = torch.zeros(0, device=estimators.device)
+        self.inliers = torch.zeros(self.count, dtype=torch.bool, device=estimators.device)
+        self.agreeing = 0
         self.cost = self.screened_cost = math.inf
         self.rows: Int[Tensor, " n"] | None = None
         if self.enough:
@@ -269,14 +282,15 @@ class _Search:
         self.drawn += count
         return draw_samples(count, self.count, self.estimators.sample_size, self.generator)
 
-    def take(self, model: Float[Tensor, " d"], cost: float, inliers: Bool[Tensor, " n"]) -> None:
-        self.model, self.cost, self.inliers = model, cost, inliers
-        self.wanted = self._samples_at(max(float(inliers.double().mean()), self.least), self.options.confidence)
+    def take(self, model: Float[Tensor, " d"], cost: float, inliers: Bool[Tensor, " n"], agreeing: int) -> None:
+        """agreeing: how many the inliers are."""
+        self.model, self.cost, self.inliers, self.agreeing = model, cost, inliers, agreeing
+        self.wanted = self._samples_at(max(agreeing / self.count, self.least), self.options.confidence)
 
     @property
     def agrees(self) -> bool:
         """Whether enough data agree with the best model."""
-        return int(self.inliers.sum()) >= self.needed
+        return self.agreeing >= self.needed
 
     def report(self, degeneracy: str) -> RansacReport:
         """degeneracy: why the inliers do not determine the model."""
@@ -284,8 +298,7 @@ class _Search:
             detail = f"there are only {self.count} data, but {self.needed} must agree"
             return self._without_model("too_few_data", detail)
         if not self.agrees:
-            count = int(self.inliers.sum())
-            detail = f"only {count} of {self.count} data agree with the best model, but {self.needed} must"
+            detail = f"only {self.agreeing} of {self.count} data agree with the best model, but {self.needed} must"
             return self._without_model("no_consensus", detail)
         if degeneracy:
             return self._without_model("degenerate", degeneracy)
@@ -316,14 +329,14 @@ def _reports(estimators: Estimators, searches: Sequence[_Search]) -> list[Ransac
     return [search.report(why) for search, why in zip(searches, reasons, strict=True)]
 
 
-def _screened(searches: Sequence[_Search]) -> Int[Tensor, "problems n"] | None:
+def _screened(searches: Sequence[_Search], device: torch.device) -> Int[Tensor, "problems n"] | None:
     """Which data models of each problem are screened with, -1 where it has fewer; None: with all, in every problem."""
     if all(search.rows is None for search in searches):
         return None
     rows = [
         torch.arange(each.count, device=each.generator.device) if each.rows is None else each.rows for each in searches
     ]
-    return torch.nn.utils.rnn.pad_sequence(rows, batch_first=True, padding_value=-1)
+    return torch.nn.utils.rnn.pad_sequence(rows, batch_first=True, padding_value=-1).to(device)
 
 
 def _batch(
@@ -335,8 +348,10 @@ def _batch(
     of_sample = torch.cat(
         [some.new_full((len(some),), each.problem) for some, each in zip(samples, searches, strict=True)]
     )
-    models, valid = estimators.solve(torch.cat(samples), of_sample)
-    models, owner = models[valid], of_sample.to(valid.device)[valid.nonzero()[:, 0]]
+    of_sample = of_sample.to(estimators.device)
+    models, valid = estimators.solve(torch.cat(samples).to(estimators.device), of_sample)
+    sample, candidate = valid.nonzero(as_tuple=True)
+    models, owner = models[sample, candidate], of_sample[sample]
     if not len(models):
         return
     first = _lowest_of_each(_scores(estimators, models, owner, rows, options), owner, options.leaders)
@@ -345,19 +360,26 @@ def _batch(
     best = _lowest_of_each(costs, owner, 1)
     by_problem = {search.problem: search for search in searches}
     better = []
-    for row, problem, cost in zip(best.tolist(), owner[best].tolist(), costs[best].tolist(), strict=True):
-        if cost < by_problem[problem].screened_cost:
-            by_problem[problem].screened_cost = cost
-            better.append(row)
+    for row, problem, cost in _looked_at(best, owner[best], costs[best]):
+        search = by_problem[int(problem)]
+        if cost < search.screened_cost:
+            search.screened_cost = cost
+            better.append(int(row))
     if not better:
         return
-    owner = owner[better]
-    found, costs = estimators.optimize(leaders[better], owner, options.max_error, None, thorough=True)
+    rows_of = torch.tensor(better, device=owner.device)
+    owner = owner[rows_of]
+    found, costs = estimators.optimize(leaders[rows_of], owner, options.max_error, None, thorough=True)
     agree = estimators.squared_errors(found, owner, None) < options.max_error**2
-    for i, (problem, cost) in enumerate(zip(owner.tolist(), costs.tolist(), strict=True)):
-        search = by_problem[problem]
+    for i, (problem, cost, agreeing) in enumerate(_looked_at(owner, costs, agree.sum(dim=1))):
+        search = by_problem[int(problem)]
         if cost < search.cost:
-            search.take(found[i], cost, agree[i, : search.count])
+            search.take(found[i], cost, agree[i, : search.count], int(agreeing))
+
+
+def _looked_at(*columns: Shaped[Tensor, " k"]) -> list[list[float]]:
+    """The rows of a table of numbers: one look at a GPU."""
+    return torch.stack([column.double() for column in columns], dim=1).tolist()
 
 
 def _scores(
@@ -382,8 +404,7 @@ def _lowest_of_each(costs: Float[Tensor, " k"], owner: Int[Tensor, " k"], count:
     """The rows of the lowest costs of each problem, at most so many, by problem and cost. owner ascends."""
     order = costs.argsort(stable=True)
     order = order[owner[order].argsort(stable=True)]
-    sizes = torch.unique_consecutive(owner, return_counts=True)[1]
-    rank = torch.arange(len(owner), device=owner.device) - (sizes.cumsum(dim=0) - sizes).repeat_interleave(sizes)
+    rank = torch.arange(len(owner), device=owner.device) - torch.searchsorted(owner, owner)  # from the first of its own
     return order[rank < count]
 
 

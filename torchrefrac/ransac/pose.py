@@ -24,6 +24,8 @@ LAST_ITERATIONS = 6
 LEAST_LIMIT = 0.05
 LEAST_SHARE = 0.99  # of the inliers of its start, below which a refinement has left their consensus
 TILT_PX = 20.0
+"""Measured: samples without outliers that it takes for a good enough one are near one while the vertical is good to 10
+pixels, and grow with its squared error from there."""
 
 Stages = Sequence[tuple[float, int]]
 """How far max_error is widened, and the iterations."""
@@ -60,6 +62,8 @@ class PoseEstimator(ABC, Generic[D]):
 
     def __init__(self, data: D) -> None:
         self.data = data
+        tilt = float(data.gravity_sigma) * float(data.focal.mean())
+        self.samples_per_hit = 1.0 + (tilt / TILT_PX) ** 2
 
     @property
     @abstractmethod
@@ -82,9 +86,8 @@ class PoseEstimator(ABC, Generic[D]):
         return len(self.data)
 
     @property
-    def samples_per_hit(self) -> float:
-        """Measured: near one while the vertical is good to 10 pixels, and growing with its squared error from there."""
-        return 1.0 + (float(self.data.gravity_sigma) * float(self.data.focal.mean()) / TILT_PX) ** 2
+    def device(self) -> torch.device:
+        return self.data.focal.device
 
     def squared_errors(self, models: Float[Tensor, "k d"], rows: Int[Tensor, " n"] | None) -> Float[Tensor, "k n"]:
         data = self._single if models.dtype == torch.float32 else self.data

@@ -80,7 +80,7 @@ class PoseData(ABC, Generic[E]):
         """Some of the data of each model: -1 for none."""
         model = torch.arange(len(rows), device=rows.device)[:, None]
         some = {name: getattr(self, name)[model, rows.clamp(min=0)] for name in self.DATA}
-        return replace(self, **some, exists=(rows >= 0).to(self.focal.device))
+        return replace(self, **some, exists=rows >= 0)
 
     def no_wider_than(self, width: int) -> Self:
         """Of each model the first data."""

@@ -84,8 +84,9 @@ class TwoViews(PoseData[EpipolarError]):
     def poses(self, models: Models) -> tuple[Float[Tensor, "h 2 3 3"], Float[Tensor, "h 2 3"]]:
         """Rotations cam_from_world and centres of both cameras."""
         rotation = tilted_rotation(self.cam_from_level, *self._angles(models))
-        first = models.new_tensor((0.0, 0.0, self.height)).expand(len(models), 3)
-        return rotation, torch.stack((first, models[:, CENTER]), dim=1)
+        first = models.new_zeros(3)
+        first[2] = self.height
+        return rotation, torch.stack((first.expand(len(models), 3), models[:, CENTER]), dim=1)
 
     def views(self, models: Models) -> tuple[Views, Views]:
         """Both cameras of models; the first one as a batch of 1 where all models share it."""
@@ -157,6 +158,7 @@ def _share_first(models: Models) -> bool:
 def _bulk(errors: EpipolarError, max_error: Limit) -> Bool[Tensor, "h n"]:
     """Which matches lie within the depths of the middle 80 % of those within max_error, three times as wide."""
     near = torch.where(errors.error.abs() < beside(max_error, errors.error), errors.depth, torch.nan)
-    low, high = torch.nanquantile(near, near.new_tensor((0.1, 0.9)), dim=-1, keepdim=True)
+    ends = torch.linspace(0.1, 0.9, 2, dtype=near.dtype, device=near.device)
+    low, high = torch.nanquantile(near, ends, dim=-1, keepdim=True)
     span = high - low
     return (errors.depth >= low - span) & (errors.depth <= high + span)

@@ -14,15 +14,16 @@ from torch import Tensor
 
 from torchrefrac.checks import can_be_looked_at
 from torchrefrac.geometry import heading_rotation
+from torchrefrac.numerics import like
 from torchrefrac.optim import Quadratic
 
 Sigma = float | Float[Tensor, " k"]
 Limit = float | Float[Tensor, " k"]
 
 
-def beside(limit: Limit, like: Float[Tensor, "k n"]) -> Float[Tensor, "*k 1"]:
+def beside(limit: Limit, errors: Float[Tensor, "k n"]) -> Float[Tensor, "*k 1"]:
     """A limit of the errors of all models, or of each, beside these errors."""
-    return torch.as_tensor(limit, dtype=like.dtype, device=like.device)[..., None]
+    return like(limit, errors)[..., None]
 
 
 def tilted_rotation(
@@ -91,17 +92,23 @@ class Priors(NamedTuple):
 
     @classmethod
     def of(
-        cls, gravity_sigma: Sigma, pixel_sigma: float, known_heading: bool, unknowns: int, like: Float[Tensor, "..."]
+        cls,
+        gravity_sigma: Sigma,
+        pixel_sigma: float,
+        known_heading: bool,
+        unknowns: int,
+        reference: Float[Tensor, "..."],
     ) -> "Priors":
         """gravity_sigma: of all models or of each; 0 fixes the tilts, infinity leaves them free. known_heading: whether
-        the heading is fixed. like: of the precision and the device of the models."""
-        sigma, tilts = torch.as_tensor(gravity_sigma, dtype=torch.float64, device=like.device)[..., None], unknowns - 4
+        the heading is fixed. reference: of the precision and the device of the models."""
+        sigma, tilts = like(gravity_sigma, reference.double())[..., None], unknowns - 4
         known = (sigma > 0.0) & sigma.isfinite()
-        number = torch.arange(unknowns, device=like.device)
+        number = torch.arange(unknowns, device=reference.device)
         weight = torch.where(known, pixel_sigma / torch.where(known, sigma, 1.0), 0.0).square() * (number < tilts)
         fixed = ((sigma == 0.0) & (number < tilts)) | ((number == tilts) & known_heading)
         nothing_said, nothing_fixed = (can_be_looked_at(sigma) and not bool(some.any()) for some in (known, fixed))
-        return cls(None if nothing_said else weight.to(like.dtype), None if nothing_fixed else (~fixed).to(like.dtype))
+        dtype = reference.dtype
+        return cls(None if nothing_said else weight.to(dtype), None if nothing_fixed else (~fixed).to(dtype))
 
     def costs(self, models: Float[Tensor, "k d"]) -> Float[Tensor, " k"]:
         """What they add to the costs of models, in squared pixels, half a sum."""

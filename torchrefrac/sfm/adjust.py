@@ -1,7 +1,7 @@
 """Bundle adjustment of what is registered and placed, and how well that determines the finished scene."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import count
 
@@ -13,6 +13,7 @@ from torchrefrac.bundle import (
     BundleOptions,
     BundleProblem,
     BundleReport,
+    Term,
     Uncertainty,
     determinations,
     estimate_pixel_sigma,
@@ -25,10 +26,10 @@ from torchrefrac.bundle.observability import coefficients_as_stated
 from torchrefrac.bundle.rows import OF_LAYERS
 from torchrefrac.bundle.score import Given
 from torchrefrac.bundle.terms import concerned_points
-from torchrefrac.numerics import typical_deviation
+from torchrefrac.numerics import on_device, typical_deviation
 from torchrefrac.optim import SingularError
 from torchrefrac.recorder import Advance, Recorder
-from torchrefrac.scene import Assessment, Interfaces, Part, Scene, mean_deviation
+from torchrefrac.scene import Assessment, Interfaces, Scene, mean_deviation
 from torchrefrac.sfm.outcome import Adjustment, Outcome
 from torchrefrac.sfm.rules import Rules
 
@@ -94,15 +95,17 @@ class Steps:
 def adjust(scene: Scene, rules: Rules, on_step: OnStep | None = None) -> tuple[Scene, Outcome]:
     """Adjust all registered views and all points that observations support, and whatever rules.bundle.refine names."""
     part = scene.part()
+    there, terms = rules.to_adjust(part)
+    registered = there.views.registered
     report = adjust_bundle(
-        part.scene,
+        there,
         rules.bundle,
-        terms=rules.measurements(part),
-        fixed=torch.ones(len(part.view), 6, dtype=torch.bool) if rules.fixed_poses else None,
+        terms=terms,
+        fixed=registered[:, None].expand(-1, 6) if rules.fixed_poses else None,
         check=False,
         callback=on_step,
     )
-    return scene.with_part(part, report.scene), _outcome(report)
+    return scene.with_part(part, on_device(report.scene, scene.points.device)), _outcome(report)
 
 
 def adjust_locally(
@@ -111,16 +114,17 @@ def adjust_locally(
     """Adjust those registered `views` and the points that they support; other views, cameras and interfaces stay as
     they are."""
     part = scene.part(of=scene.supported_by(views))
-    fixed = replace(part.scene, cameras=scene.cameras.exact(), interfaces=replace(scene.interfaces, sigmas={}))
+    there, terms = rules.to_adjust(part)
     report = adjust_bundle(
-        fixed,
+        replace(there, cameras=there.cameras.exact(), interfaces=replace(there.interfaces, sigmas={})),
         replace(rules.bundle, refine=()),
-        terms=rules.measurements(part),
-        fixed=~views[part.view, None].expand(-1, 6),
+        terms=terms,
+        fixed=~on_device(views[part.view, None], there.points.device).expand(-1, 6),
         check=False,
         callback=on_step,
     )
-    changed = replace(report.scene, cameras=scene.cameras, interfaces=scene.interfaces)
+    changed = on_device(report.scene, scene.points.device)
+    changed = replace(changed, cameras=scene.cameras, interfaces=scene.interfaces)
     return scene.with_part(part, changed), _outcome(report)
 
 
@@ -167,10 +171,10 @@ def with_noise_found(bundle: BundleOptions, report: BundleReport) -> BundleOptio
     )
 
 
-def ending_early(bundle: BundleOptions) -> BundleOptions:
-    """Options for an adjustment that ends when the cost falls by ENOUGH of it at most."""
+def ending_early(bundle: BundleOptions, tolerance: float = ENOUGH) -> BundleOptions:
+    """Options for an adjustment that ends when the cost falls by this much of it at most."""
     solver = bundle.solver
-    return replace(bundle, solver=replace(solver, function_tolerance=max(solver.function_tolerance, ENOUGH)))
+    return replace(bundle, solver=replace(solver, function_tolerance=max(solver.function_tolerance, tolerance)))
 
 
 def with_errors_found(rules: Rules, report: BundleReport, least: float | None) -> Rules:
@@ -185,7 +189,10 @@ def with_errors_found(rules: Rules, report: BundleReport, least: float | None) -
 def assess_scene(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Assessment:
     """How well everything is determined; fixed: what an adjustment refused to refine. Empty where nothing is known."""
     part = scene.part()
-    return assess(_problem(part, rules, fixed), part.scene, fixed) if len(part.scene.observations) else Assessment()
+    if not len(part.scene.observations):
+        return Assessment()
+    there, terms = rules.to_adjust(part)
+    return on_device(assess(_problem(there, terms, rules, fixed), there, fixed), scene.points.device)
 
 
 def common_tilt(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Float[Tensor, " m"]:
@@ -193,12 +200,15 @@ def common_tilt(scene: Scene, rules: Rules, fixed: dict[str, str]) -> Float[Tens
     known."""
     part = scene.part()
     tilt = torch.zeros_like(scene.views.center[:, 0])
+    if not len(part.scene.observations):
+        return tilt
+    there, terms = rules.to_adjust(part)
     try:
-        known = uncertainty(_problem(part, rules, fixed), part.scene) if len(part.scene.observations) else None
+        known = uncertainty(_problem(there, terms, rules, fixed), there)
     except SingularError:
-        known = None
-    if known is not None and known.common is not None:
-        tilt[part.view] = known.common.tilt(len(part.view))
+        return tilt
+    if known.common is not None:
+        tilt[part.view] = known.common.tilt(len(part.view)).to(tilt.device)
     return tilt
 
 
@@ -222,11 +232,11 @@ def _of_planes(known: Uncertainty, surfaces: Interfaces) -> Float[Tensor, "e e 3
     return by[:, None] @ covariance @ by[None].mT
 
 
-def _problem(part: Part, rules: Rules, fixed: dict[str, str]) -> BundleProblem:
-    """That of adjusting a part, without what an adjustment refused to refine."""
-    refine, terms = tuple(name for name in rules.bundle.refine if name not in fixed), rules.measurements(part)
-    layout = Layout.create(part.scene, refine, reduced=concerned_points(terms, part.scene.points))
-    return BundleProblem.create(part.scene, layout, rules.bundle, terms)
+def _problem(scene: Scene, terms: Sequence[Term], rules: Rules, fixed: dict[str, str]) -> BundleProblem:
+    """That of adjusting a scene all of which takes part, without what an adjustment refused to refine."""
+    refine = tuple(name for name in rules.bundle.refine if name not in fixed)
+    layout = Layout.create(scene, refine, reduced=concerned_points(terms, scene.points))
+    return BundleProblem.create(scene, layout, rules.bundle, terms)
 
 
 def assess(problem: BundleProblem, scene: Scene, fixed: dict[str, str]) -> Assessment:

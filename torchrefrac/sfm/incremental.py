@@ -331,13 +331,16 @@ class _Growth:
         return stated_sides(scene, extent, final)
 
     def _converged(self, scene: Scene, rules: Rules) -> Scene:
-        """Points and observations judged and everything adjusted, in turn, until little changes any more."""
-        most = rules.bundle.solver.max_iterations
-        with self.recorder.meter(self.options.final_rounds * most, "adjusting", "") as advance:
-            for _ in range(self.options.final_rounds):
+        """Points and observations judged and everything adjusted, in turn, until little changes any more: roughly at
+        first, as what comes of that changes the weights."""
+        most, rounds = rules.bundle.solver.max_iterations, self.options.final_rounds
+        with self.recorder.meter(rounds * most, "adjusting", "") as advance:
+            for number in range(1, rounds + 1):
                 scene = self._filter(triangulate(scene, rules)[0], rules)
                 steps = Steps(self.journal.step, most, advance)
-                scene, outcome = adjust(scene, rules, steps)
+                rough = number == 1 < rounds
+                now = replace(rules, bundle=ending_early(rules.bundle, GROWING.function_tolerance)) if rough else rules
+                scene, outcome = adjust(scene, now, steps)
                 steps.end()
                 self._record(scene, outcome)
                 if outcome.report is not None:

@@ -9,6 +9,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from torchrefrac.bundle import BundleOptions, HeightPrior, Term, UnadjustableError, check_inputs
+from torchrefrac.numerics import on_device
 from torchrefrac.recorder import Advance, Recorder, SilentRecorder
 from torchrefrac.scene import Assessment, Part, Scene, Survey
 from torchrefrac.scene.capture import RELATIVE_HEIGHT_SIGMA
@@ -61,7 +62,8 @@ def readjust(
     with recorder.meter(1, "assessing", "") as advance:
         assert outcome.report is not None
         report = outcome.report
-        assessment = assess(report.problem, report.scene, report.fixed).spread_over(adjusted.placed)
+        assessment = on_device(assess(report.problem, report.scene, report.fixed), adjusted.points.device)
+        assessment = assessment.spread_over(adjusted.placed)
         assessment = replace(assessment, stopped_after=report.stopped_after, up=stated.up)
         advance(1, "")
     missing, median = int((~first.placed[: work.ties]).sum()), float(before[before.isfinite()].median())

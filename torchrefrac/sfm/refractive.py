@@ -1,7 +1,8 @@
 """Poses through the water with measured verticals (paper, section 3.4)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -9,14 +10,24 @@ from torch import Tensor
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry import Rigid, level_rotation
-from torchrefrac.ransac import AbsolutePoseEstimators, RansacReport, RelativePoseEstimators, ransac_each
-from torchrefrac.refinement import OneView, TwoViews
+from torchrefrac.numerics import device_of, on_device
+from torchrefrac.ransac import (
+    AbsolutePoseEstimators,
+    Estimators,
+    RansacOptions,
+    RansacReport,
+    RelativePoseEstimators,
+    ransac_each,
+)
+from torchrefrac.refinement import OneView, PoseData, TwoViews
 from torchrefrac.scene import Capture
 from torchrefrac.sfm.pose import PairPose, Pixels, Pose, Resection, judge_pair
 from torchrefrac.sfm.rules import SfmOptions
 
 THICK = 25.0
 """Times the layers before the water, of a first height that nobody states."""
+
+D = TypeVar("D", bound=PoseData[Any])
 
 
 @dataclass(frozen=True)
@@ -43,7 +54,7 @@ class RefractiveInitializer:
         dry = [self._dry(*pair) for pair in zip(images, pixels, strict=True)]
         views = [self._views(*pair) for pair in zip(images, pixels, dry, strict=True)]
         options = replace(self.options.ransac, min_inliers=least)
-        reports = ransac_each(RelativePoseEstimators(views), options, generators)
+        reports = self._reports(RelativePoseEstimators, views, options, generators)
         return [self._judged(*pair) for pair in zip(reports, views, images, pixels, dry, strict=True)]
 
     def _views(self, images: tuple[int, int], pixels: Pixels, dry: Bool[Tensor, " k"] | None) -> TwoViews:
@@ -93,7 +104,7 @@ class RefractiveInitializer:
         if not images:
             return []
         views = [self._view(*image) for image in images]
-        reports = ransac_each(AbsolutePoseEstimators(views), self.options.ransac, generators)
+        reports = self._reports(AbsolutePoseEstimators, views, self.options.ransac, generators)
         return [self._pose(*found) for found in zip(reports, views, strict=True)]
 
     def _view(
@@ -114,6 +125,17 @@ class RefractiveInitializer:
             return None
         rotation, center = (part[0] for part in view.poses(report.model[None]))
         return Pose(rotation, center - self._lift, report.inliers)
+
+    def _reports(
+        self,
+        estimators: Callable[[Sequence[D]], Estimators],
+        problems: Sequence[D],
+        options: RansacOptions,
+        generators: Sequence[torch.Generator],
+    ) -> list[RansacReport]:
+        """Of problems that are solved on the device of the options; where the problems are."""
+        there = estimators(on_device(problems, device_of(self.options.device)))
+        return on_device(ransac_each(there, options, generators), problems[0].focal.device)
 
     def _before_layers(self, center: Float[Tensor, "2 3"], first: int) -> Float[Tensor, "2 3"]:
         """Centres of a pair, of which that of image `first` is at height 1, in the unit of the layers, if there are

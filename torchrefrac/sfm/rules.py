@@ -10,13 +10,17 @@ from torch import Tensor
 
 from torchrefrac.bundle import BundleOptions, Term
 from torchrefrac.checks import Range, require_ranges
+from torchrefrac.numerics import AUTO, CPU, device_of, on_device
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.ransac import RansacOptions
-from torchrefrac.scene import Part
+from torchrefrac.scene import Part, Scene
 from torchrefrac.sfm.pose import PoseInitializer
 
 Measurements = Callable[[Part], Sequence[Term]]
 MIN_OBSERVATIONS = 6
+WORTH_A_GPU = 20_000
+"""Observations of an adjustment from which on it goes to a GPU by itself: a step takes a core 18 ms then, and to begin
+its 600 operations on a GPU takes about 5 ms."""
 MAX_ERROR = Range(above=0.0, at_most=1e6)
 SFM_RANGES = {
     **dict.fromkeys(("min_pair_inliers", "min_registration_inliers"), Range(at_least=1, at_most=1_000_000)),
@@ -46,7 +50,8 @@ class Rules:
     rough: poses may be far off, so that a point is first put where its observations meet best under a loss in which
     errors beyond `loss_scale` pixels count linearly, and judged there. bundle: how to adjust. measurements: what is
     known besides pixels of a part of the scene. fixed_poses: points and water alone are adjusted. poses: finds poses
-    without a start; seed: of the random samples of each view.
+    without a start; seed: of the random samples of each view. device: where adjustments are done, see `device_of`;
+    auto: on the CPU where they have fewer than WORTH_A_GPU observations.
     """
 
     max_error: float = 4.0
@@ -62,6 +67,13 @@ class Rules:
     fixed_poses: bool = False
     poses: PoseInitializer | None = None
     seed: int = 0
+    device: str = AUTO
+
+    def to_adjust(self, part: Part) -> tuple[Scene, Sequence[Term]]:
+        """The scene of a part and what was measured of it, where that is adjusted."""
+        is_small = self.device == AUTO and len(part.scene.observations) < WORTH_A_GPU
+        device = CPU if is_small else device_of(self.device)
+        return on_device((part.scene, self.measurements(part)), device)
 
 
 @dataclass(frozen=True)
@@ -75,7 +87,8 @@ class SfmOptions:
     errors are; None: it stays. rough_error: see `rough`. min_track_length: images that must see a final point (2 where
     only 2 are registered). global_growth: adjust everything whenever the number of images has grown by this factor.
     many_images: from so many on views are registered in rounds, these are mostly adjustments of the views that have
-    joined and of their neighbours, and the last ones end when the cost hardly falls any more.
+    joined and of their neighbours, and the last ones end when the cost hardly falls any more. device: where pairs are
+    verified and views registered, see `device_of`, and adjustments are done, see `Rules`.
     """
 
     ransac: RansacOptions = field(default_factory=lambda: RansacOptions(max_samples=8192))
@@ -91,9 +104,11 @@ class SfmOptions:
     global_growth: float = 1.1
     many_images: int = 40
     final_rounds: int = 3
+    device: str = AUTO
 
     def __post_init__(self) -> None:
         require_ranges(self, SFM_RANGES)
+        device_of(self.device)
 
     @property
     def rough(self) -> "SfmOptions":
@@ -117,13 +132,14 @@ class SfmOptions:
             measurements=measurements,
             poses=poses,
             seed=int(torch.randint(1 << 31, (), generator=seed)) if isinstance(seed, torch.Generator) else seed,
+            device=self.device,
         )
 
 
 @dataclass(frozen=True)
 class ReadjustOptions:
     """max_error: of an accepted observation, pixels. rounds: of dropping observations and adjusting again. held:
-    "cameras" leaves the poses as they are."""
+    "cameras" leaves the poses as they are. device: as of `Rules`."""
 
     held: Literal["none", "cameras"] = "none"
     max_error: float = 4.0
@@ -133,9 +149,11 @@ class ReadjustOptions:
             loss_scale=0.5, pixel_sigma=0.5, solver=LevenbergMarquardtOptions(max_iterations=100)
         )
     )
+    device: str = AUTO
 
     def __post_init__(self) -> None:
         require_ranges(self, {"max_error": MAX_ERROR, "rounds": Range(at_least=1, at_most=1000)})
+        device_of(self.device)
 
     def rules(self, measurements: Measurements, min_track_length: int | Int[Tensor, " n"]) -> Rules:
         """By what a whole scene is adjusted again."""
@@ -150,4 +168,5 @@ class ReadjustOptions:
             bundle=self.bundle,
             measurements=measurements,
             fixed_poses=fixed,
+            device=self.device,
         )

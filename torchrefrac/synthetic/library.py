@@ -3,7 +3,6 @@
 import errno
 import hashlib
 import json
-import os
 import re
 from collections.abc import Generator
 from contextlib import AbstractContextManager, contextmanager
@@ -11,6 +10,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from torchrefrac.files.paths import user_cache
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.synthetic.folder import image_names, render_into
 from torchrefrac.synthetic.options import SyntheticOptions
@@ -32,14 +32,9 @@ def made_scene(options: SyntheticOptions, cache: Path | None = None, recorder: R
     By default `cache` is the folder of the environment variable TORCHREFRAC_CACHE, or torchrefrac/ in the user's cache.
     Raises StageError, one sentence with the remedy, where the scene cannot be made or written.
     """
-    cache = cache or _default_cache()
+    cache = cache or user_cache()
     folder = scene_folder(options, cache)
     return folder if folder.is_dir() else render_scene(stage_of(options), options, cache, recorder or SilentRecorder())
-
-
-def _default_cache() -> Path:
-    given = os.environ.get("TORCHREFRAC_CACHE")
-    return Path(given) if given else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchrefrac"
 
 
 def scene_folder(options: SyntheticOptions, cache: Path) -> Path:
