@@ -16,7 +16,7 @@ from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from inspect import Parameter, Signature, isgeneratorfunction, signature, unwrap
 from multiprocessing import parent_process
 from types import ModuleType
-from typing import Any, get_type_hints, runtime_checkable
+from typing import Any, Self, get_type_hints, runtime_checkable
 
 import torch
 from beartype import BeartypeConf
@@ -103,12 +103,12 @@ def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str,
 
 def _statements(function: Callable[..., Any]) -> tuple[Signature, dict[str, Any]]:
     """The signature, and the type of each parameter and of the result; what is not stated, or known to type checkers
-    alone, may be anything."""
+    alone, such as the class that a method is called of, may be anything."""
     try:
         stated = get_type_hints(function)
     except NameError:
         stated = {key: Any if isinstance(hint, str) else hint for key, hint in function.__annotations__.items()}
-    stated = {key: hint.type if isinstance(hint, InitVar) else hint for key, hint in stated.items()}
+    stated = {key: hint.type if isinstance(hint, InitVar) else hint for key, hint in stated.items() if hint is not Self}
     hints, of = {"return": stated.get("return", Any)}, signature(function)
     for key, parameter in of.parameters.items():
         hint = stated.get(key, Any)

@@ -10,6 +10,7 @@ from torchrefrac.geometry import align_above_plane, align_similarity
 from torchrefrac.ransac import RansacOptions
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.sfm import PinholeInitializer, RefractiveInitializer, SfmOptions
+from torchrefrac.sfm.pose import Resection, draws_of
 from torchrefrac.sfm.rays import Rays
 
 OPTIONS = SfmOptions(ransac=RansacOptions(max_error=2.0, max_samples=4096))
@@ -66,6 +67,25 @@ def test_the_pose_of_an_image_is_found_in_spite_of_outliers_and_gravity_that_is_
     assert (pose.inliers & ~right).sum() <= 1
     torch.testing.assert_close(pose.center, survey.basin.center[1], rtol=0.0, atol=0.1)
     torch.testing.assert_close(pose.rotation, survey.basin.rotation[1], rtol=0.0, atol=2e-3)
+
+
+@in_water_and_air
+def test_poses_of_some_images_are_those_that_each_has_alone(survey_of, index_ratio):
+    survey = survey_of(cameras=3, points=150, index_ratio=index_ratio, **HARD)
+    initializer, lens = make_initializer(survey), survey.basin.lens
+    seen = [(image, *survey.common(image)) for image in range(3)]
+    images = [Resection(image, lens, pixels, survey.basin.points[track]) for image, pixels, _, track in seen]
+    images.append(Resection(0, lens, images[0].pixels[:3], images[0].points[:3]))
+
+    found = initializer.absolute_each(images, [draws_of(1, i) for i in range(4)])
+
+    assert found[3] is None
+    assert initializer.absolute_each([], []) == []
+    for i, image in enumerate(images[:3]):
+        alone = initializer.absolute(*image, draws_of(1, i))
+        assert torch.equal(found[i].inliers, alone.inliers)
+        torch.testing.assert_close(found[i].center, alone.center, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(found[i].rotation, alone.rotation, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [0, 5])

@@ -23,6 +23,7 @@ from torchrefrac.sfm import (
     reconstruct_sparse,
     verify_pairs,
 )
+from torchrefrac.sfm.pose import OneByOne
 
 OPTIONS = SfmOptions()
 HARD = {"noise": 0.1, "outliers": 0.05, "gravity_error_deg": 0.5}
@@ -341,7 +342,7 @@ class Pictures(SilentRecorder):
         self.details.append(text)
 
 
-class _Knowing(PoseInitializer):
+class _Knowing(OneByOne, PoseInitializer):
     """An initialiser that knows the true poses, but finds none when it is first asked."""
 
     def __init__(self, survey):

@@ -6,7 +6,17 @@ import pytest
 import torch
 
 from torchrefrac.geometry import Rigid
-from torchrefrac.sfm import Pose, PoseInitializer, RefractiveInitializer, Registration, Rules, SfmOptions, register
+from torchrefrac.sfm import (
+    Pose,
+    PoseInitializer,
+    RefractiveInitializer,
+    Registration,
+    Rules,
+    SfmOptions,
+    register,
+    register_each,
+)
+from torchrefrac.sfm.pose import OneByOne
 from torchrefrac.sfm.register import visible_points
 
 OPTIONS = SfmOptions(min_registration_inliers=20)
@@ -29,7 +39,7 @@ def rules(generator):
     return lambda poses: OPTIONS.rules(poses, seed=generator)
 
 
-class Answering(PoseInitializer):
+class Answering(OneByOne, PoseInitializer):
     """An initialiser that gives one answer and keeps what it was asked."""
 
     def __init__(self, inliers):
@@ -129,3 +139,39 @@ def test_the_observations_that_agree_with_the_pose_support_the_view_from_then_on
     assert int(new.sum()) == outcome.numbers["agreeing"] == 25
     assert (grown.observations.view[new] == 3).all()
     assert str(outcome).startswith("25 of the ")
+
+
+def test_views_of_a_round_are_registered_as_each_is_alone_in_any_order(without_last, rules, draw):
+    survey, scene = without_last
+    seen, registered = scene.observations, torch.arange(4) < 1
+    lost, alone = seen.view == 2, seen.view == 1
+    pixels = torch.where(lost[:, None], 700.0 * draw.uniform(0.0, 1.0, len(seen), 2), seen.pixels)
+    seen = replace(seen, pixels=pixels)[~alone | (seen.point < 10)]
+    accepted = registered[seen.view]
+    scene = replace(scene, observations=seen, accepted=accepted, views=replace(scene.views, registered=registered))
+    by = rules(RefractiveInitializer(survey.capture, survey.basin.index_ratio, OPTIONS))
+
+    together, outcomes = register_each(scene, [1, 2, 3], by)
+    backwards, reversed_outcomes = register_each(scene, [3, 2, 1], by)
+    single, outcome = register(scene, 3, by)
+
+    kinds = [Registration.FEW_POINTS, Registration.NO_POSE, Registration.DONE]
+    assert [one.kind for one in outcomes] == kinds
+    assert [str(one) for one in outcomes] == [str(one) for one in reversed_outcomes[::-1]]
+    assert str(outcomes[2]) == str(outcome)
+    for other in (backwards, single):
+        assert torch.equal(together.views.registered, other.views.registered)
+        assert torch.equal(together.accepted, other.accepted)
+        torch.testing.assert_close(together.views.center, other.views.center, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(together.views.rotation, other.views.rotation, rtol=1e-12, atol=1e-12)
+
+
+def test_no_views_are_registered_where_none_are_asked_for(without_last, rules):
+    survey, scene = without_last
+
+    same, outcomes = register_each(
+        scene, [], rules(RefractiveInitializer(survey.capture, survey.basin.index_ratio, OPTIONS))
+    )
+
+    assert same is scene
+    assert outcomes == []

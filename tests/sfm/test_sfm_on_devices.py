@@ -22,6 +22,7 @@ from torchrefrac.sfm import (
     verify_pairs,
 )
 from torchrefrac.sfm.adjust import adjust_locally, assess_scene
+from torchrefrac.sfm.pose import Resection, draws_of
 from torchrefrac.sfm.rules import WORTH_A_GPU
 
 
@@ -35,6 +36,28 @@ def test_matches_that_agree_on_a_pose_are_those_of_the_cpu(survey_of, device):
         assert one.pose.center.device.type == "cpu"
         torch.testing.assert_close(one.pose.center, other.pose.center, rtol=1e-4, atol=1e-4)
         assert abs(len(one.pair) - len(other.pair)) <= (0 if device == "made" else 2)
+
+
+@on_every_device
+def test_poses_of_images_are_those_of_the_cpu(survey_of, device):
+    survey = survey_of(cameras=3, points=100, **HARD)
+    seen = [survey.common(image) for image in range(3)]
+    images = [
+        Resection(image, survey.basin.lens, pixels, survey.basin.points[track])
+        for image, (pixels, _, track) in enumerate(seen)
+    ]
+
+    here, there = (
+        RefractiveInitializer(survey.capture, survey.basin.index_ratio, SfmOptions(device=on)).absolute_each(
+            images, [draws_of(1, image) for image in range(3)]
+        )
+        for on in ("cpu", device)
+    )
+
+    for one, other in zip(there, here, strict=True):
+        assert one.center.device.type == one.inliers.device.type == "cpu"
+        torch.testing.assert_close(one.center, other.center, rtol=1e-4, atol=1e-4)
+        assert (one.inliers != other.inliers).sum() <= (0 if device == "made" else 2)
 
 
 @on_every_device

@@ -144,8 +144,7 @@ def _with_index(geometry: Geometry, count: int, gravity_deg: float, index_ratio:
 def _bound(problem: Problem) -> float:
     """Cramér-Rao bound of the position of the second camera, over the baseline."""
     views, truth = problem.two_views(), problem.true_model()[None]
-    everything = torch.ones(1, len(views), dtype=torch.bool)
-    covariance = torch.linalg.inv(views.linearize(truth, math.inf, everything).hessian[0]) * views.pixel_sigma**2
+    covariance = torch.linalg.inv(views.linearize(truth, math.inf).hessian[0]) * views.pixel_sigma**2
     return float(covariance.diagonal()[5:].sum().sqrt()) / problem.baseline
 
 

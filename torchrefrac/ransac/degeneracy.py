@@ -6,47 +6,55 @@ of Chang & Chen (ICCV 2011, section 3.4.1) and refraction that is too weak show 
 """
 
 import math
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.optim import covariance_of
-from torchrefrac.refinement import OneView, TwoViews
+from torchrefrac.refinement import OneView, PoseData, TwoViews
 
 MAX_UNCERTAINTY = 0.3
 NARROW = 0.02
 
 
-def explain_relative(views: TwoViews, model: Float[Tensor, " 8"]) -> str:
-    """Why inlier matches do not determine the relative pose `model`; empty if they do."""
-    everything = torch.ones(1, len(views), dtype=torch.bool, device=model.device)
-    hessian = views.linearize(model[None], math.inf, everything).hessian[0]
-    _, centers = views.poses(model[None])
-    much = _uncertainty(hessian, views.pixel_sigma, float((centers[0, 1] - centers[0, 0]).norm()), "the baseline")
-    return much and f"the position of the second camera is uncertain {much}: {_reason(views, model, centers[0])}"
+def explain_relative(inliers: TwoViews, models: Float[Tensor, "k 8"]) -> list[str]:
+    """Why matches, of one pair or of each model's own, do not determine the relative poses; empty if they do."""
+    _, centers = inliers.poses(models)
+    much = _uncertainties(inliers, models, (centers[:, 1] - centers[:, 0]).norm(dim=-1), "the baseline")
+    return [
+        words and f"the position of the second camera is uncertain {words}: {_reason(inliers, models, i)}"
+        for i, words in enumerate(much)
+    ]
 
 
-def explain_absolute(view: OneView, model: Float[Tensor, " 6"]) -> str:
-    """Why inlier points do not determine the pose `model`; empty if they do."""
-    hessian = view.linearize(model[None], math.inf).hessian[0]
-    much = _uncertainty(hessian, view.pixel_sigma, float(model[5]), "the camera's height")
+def explain_absolute(inliers: OneView, models: Float[Tensor, "k 6"]) -> list[str]:
+    """Why points, of one view or of each model's own, do not determine the poses; empty if they do."""
     why = "the points lie too close together or on one vertical line"
-    return much and f"the position of the camera is uncertain {much}: {why}"
+    much = _uncertainties(inliers, models, models[:, 5], "the camera's height")
+    return [words and f"the position of the camera is uncertain {words}: {why}" for words in much]
 
 
-def _uncertainty(hessian: Float[Tensor, "d d"], pixel_sigma: float, length: float, of: str) -> str:
+def _uncertainties(
+    data: PoseData[Any], models: Float[Tensor, "k d"], length: Float[Tensor, " k"], of: str
+) -> list[str]:
     """How uncertain the last three unknowns, a position, are where that is too much against a length; else empty."""
-    covariance, exists = covariance_of(hessian[None])
-    sigma = pixel_sigma * math.sqrt(float(covariance[0].diagonal()[-3:].sum())) if bool(exists) else math.inf
-    if (uncertainty := sigma / length) <= MAX_UNCERTAINTY:
-        return ""
+    covariance, exists = covariance_of(data.linearize(models, math.inf).hessian)
+    sigma = data.pixel_sigma * covariance.diagonal(dim1=-2, dim2=-1)[:, -3:].sum(dim=-1).sqrt()
+    uncertainty = torch.where(exists, sigma / length, torch.inf).tolist()
+    return ["" if much <= MAX_UNCERTAINTY else _in_words(much, of) for much in uncertainty]
+
+
+def _in_words(uncertainty: float, of: str) -> str:
     return "by any amount" if math.isinf(uncertainty) else f"to {100.0 * uncertainty:.0f} % of {of}"
 
 
-def _reason(views: TwoViews, model: Float[Tensor, " 8"], centers: Float[Tensor, "2 3"]) -> str:
+def _reason(views: TwoViews, models: Float[Tensor, "k 8"], which: int) -> str:
     """Which of the known cases it looks like."""
-    points = views.points(model[None])[0][:, :2]
+    views, models = views.of_models(torch.tensor([which], device=models.device)), models[which, None]
+    points, centers = views.points(models)[0][:, :2], views.poses(models)[1][0]
+    points = points if views.exists is None else points[views.exists[0]]
     middle, along = centers[:, :2].mean(dim=0), centers[1, :2] - centers[0, :2]
     along = along / along.norm()
     offset = points - middle

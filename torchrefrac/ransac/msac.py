@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchrefrac.checks import Range, require_ranges
 
-SCORE_ELEMENTS = 1 << 15
+SCORE_ELEMENTS = 1 << 16
 HOPELESS_RATIO, MISSED = 0.4, 0.01
 """Share of inliers at which data that do not look promising are given up, and the probability that a good enough sample
 was missed there. Where as many are right, data look promising anyway: this is for those few that do not."""
@@ -109,7 +109,9 @@ class Estimators(Protocol):
         thorough: bool,
     ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]: ...
 
-    def degeneracy(self, problem: int, model: Float[Tensor, " d"], inliers: Bool[Tensor, " n"]) -> str: ...
+    def degeneracies(
+        self, models: Float[Tensor, "k d"], owner: Int[Tensor, " k"], inliers: Bool[Tensor, "k n"]
+    ) -> list[str]: ...
 
 
 RANGES = {
@@ -189,7 +191,7 @@ def ransac_each(
     rows = _screened(searches, estimators.device)
     while active := [search for search in searches if search.left > 0]:
         _batch(estimators, active, rows, options)
-    return [search.report() for search in searches]
+    return _reports(estimators, searches)
 
 
 @dataclass(frozen=True)
@@ -237,8 +239,10 @@ class _Alone:
     ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
         return self.estimator.optimize(models, max_error, None if rows is None else rows[0], thorough)
 
-    def degeneracy(self, problem: int, model: Float[Tensor, " d"], inliers: Bool[Tensor, " n"]) -> str:
-        return self.estimator.degeneracy(model, inliers)
+    def degeneracies(
+        self, models: Float[Tensor, "k d"], owner: Int[Tensor, " k"], inliers: Bool[Tensor, "k n"]
+    ) -> list[str]:
+        return [self.estimator.degeneracy(*found) for found in zip(models, inliers, strict=True)]
 
 
 class _Search:
@@ -255,6 +259,7 @@ class _Search:
         self.size, self.drawn, self.wanted = options.batch_size, 0, 0
         self.model = torch.zeros(0, device=estimators.device)
         self.inliers = torch.zeros(self.count, dtype=torch.bool, device=estimators.device)
+        self.agreeing = 0
         self.cost = self.screened_cost = math.inf
         self.rows: Int[Tensor, " n"] | None = None
         if self.enough:
@@ -277,22 +282,26 @@ class _Search:
         self.drawn += count
         return draw_samples(count, self.count, self.estimators.sample_size, self.generator)
 
-    def take(self, model: Float[Tensor, " d"], cost: float, inliers: Bool[Tensor, " n"], agreeing: float) -> None:
+    def take(self, model: Float[Tensor, " d"], cost: float, inliers: Bool[Tensor, " n"], agreeing: int) -> None:
         """agreeing: how many the inliers are."""
-        self.model, self.cost, self.inliers = model, cost, inliers
+        self.model, self.cost, self.inliers, self.agreeing = model, cost, inliers, agreeing
         self.wanted = self._samples_at(max(agreeing / self.count, self.least), self.options.confidence)
 
-    def report(self) -> RansacReport:
+    @property
+    def agrees(self) -> bool:
+        """Whether enough data agree with the best model."""
+        return self.agreeing >= self.needed
+
+    def report(self, degeneracy: str) -> RansacReport:
+        """degeneracy: why the inliers do not determine the model."""
         if not self.enough:
             detail = f"there are only {self.count} data, but {self.needed} must agree"
             return self._without_model("too_few_data", detail)
-        count = int(self.inliers.sum())
-        if count < self.needed:
-            detail = f"only {count} of {self.count} data agree with the best model, but {self.needed} must"
+        if not self.agrees:
+            detail = f"only {self.agreeing} of {self.count} data agree with the best model, but {self.needed} must"
             return self._without_model("no_consensus", detail)
-        detail = self.estimators.degeneracy(self.problem, self.model, self.inliers)
-        if detail:
-            return self._without_model("degenerate", detail)
+        if degeneracy:
+            return self._without_model("degenerate", degeneracy)
         return RansacReport("success", self.model, self.inliers, self.cost, self.drawn)
 
     def _without_model(self, status: Status, detail: str) -> RansacReport:
@@ -306,6 +315,18 @@ class _Search:
         if hits <= 0.0:  # nothing is known of the vertical
             return self.options.max_samples
         return min(math.ceil(math.log(1.0 - confidence) / math.log1p(-hits)), self.options.max_samples)
+
+
+def _reports(estimators: Estimators, searches: Sequence[_Search]) -> list[RansacReport]:
+    """How the searches ended."""
+    reasons = [""] * len(searches)
+    if agreeing := [search for search in searches if search.agrees]:
+        models = torch.stack([search.model for search in agreeing])
+        owner = torch.tensor([search.problem for search in agreeing], device=models.device)
+        inliers = torch.nn.utils.rnn.pad_sequence([search.inliers for search in agreeing], batch_first=True)
+        for search, why in zip(agreeing, estimators.degeneracies(models, owner, inliers), strict=True):
+            reasons[search.problem] = why
+    return [search.report(why) for search, why in zip(searches, reasons, strict=True)]
 
 
 def _screened(searches: Sequence[_Search], device: torch.device) -> Int[Tensor, "problems n"] | None:
@@ -353,7 +374,7 @@ def _batch(
     for i, (problem, cost, agreeing) in enumerate(_looked_at(owner, costs, agree.sum(dim=1))):
         search = by_problem[int(problem)]
         if cost < search.cost:
-            search.take(found[i], cost, agree[i, : search.count], agreeing)
+            search.take(found[i], cost, agree[i, : search.count], int(agreeing))
 
 
 def _looked_at(*columns: Shaped[Tensor, " k"]) -> list[list[float]]:

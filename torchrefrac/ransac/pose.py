@@ -3,23 +3,22 @@
 Models are refined in stages, from a wide limit of the errors to a narrow one.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import torch
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchrefrac.checks import require
 from torchrefrac.minimal.absolute_pose import unchecked_absolute_pose_2pt
 from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt
 from torchrefrac.minimal.known_heading import unchecked_absolute_pose_known_heading, unchecked_relative_pose_3pt
-from torchrefrac.optim import SmallReport
 from torchrefrac.ransac.coherence import are_coherent
 from torchrefrac.ransac.degeneracy import explain_absolute, explain_relative
-from torchrefrac.refinement import OneView, TwoViews
-from torchrefrac.refinement.tilt import Limit, Sigma
+from torchrefrac.refinement import OneView, PoseData, TwoViews
 
 LAST_ITERATIONS = 6
 LEAST_LIMIT = 0.05
@@ -31,50 +30,28 @@ pixels, and grow with its squared error from there."""
 Stages = Sequence[tuple[float, int]]
 """How far max_error is widened, and the iterations."""
 
-
-class PoseData(Protocol):
-    """Matches or points that models can be refined to: `TwoViews` or `OneView`."""
-
-    @property
-    def focal(self) -> Float[Tensor, "*view 2"]: ...
-
-    @property
-    def gravity_sigma(self) -> Sigma: ...
-
-    def __len__(self) -> int: ...
-
-    def rows(self, rows: Shaped[Tensor, " some"]) -> "PoseData": ...
-
-    def single(self) -> "PoseData": ...
-
-    def squared_errors(self, models: Float[Tensor, "k d"]) -> Float[Tensor, "k n"]: ...
-
-    def refine(self, models: Float[Tensor, "k d"], max_error: Limit, max_iterations: int) -> SmallReport: ...
-
-    def costs(self, models: Float[Tensor, "k d"], max_error: Limit) -> Float[Tensor, " k"]: ...
-
-
-D = TypeVar("D", bound=PoseData)
+D = TypeVar("D", bound=PoseData[Any])
 
 
 class _Judged(NamedTuple):
-    """Models, and the squared errors of the data under them."""
+    """Models, and the errors of the data under them."""
 
     models: Float[Tensor, "k d"]
-    squared_errors: Float[Tensor, "k n"]
+    errors: Any  # `Errors`, a named tuple
 
     @classmethod
-    def of(cls, data: PoseData, models: Float[Tensor, "k d"]) -> "_Judged":
-        return cls(models, data.squared_errors(models))
+    def of(cls, data: PoseData[Any], models: Float[Tensor, "k d"]) -> "_Judged":
+        return cls(models, data.errors(models))
 
     def unless_fewer_agree(self, refined: "_Judged", max_error: float) -> "_Judged":
         """What models were refined to, but those whose refinement has walked off their consensus as they were."""
-        before, after = ((of.squared_errors < max_error * max_error).sum(dim=-1) for of in (self, refined))
+        before, after = ((of.errors.squared < max_error * max_error).sum(dim=-1) for of in (self, refined))
         fewer = (after < LEAST_SHARE * before)[:, None]
-        return _Judged(*(torch.where(fewer, old, new) for old, new in zip(self, refined, strict=True)))
+        errors = (torch.where(fewer, old, new) for old, new in zip(self.errors, refined.errors, strict=True))
+        return _Judged(torch.where(fewer, self.models, refined.models), type(self.errors)(*errors))
 
 
-class PoseEstimator(Generic[D]):
+class PoseEstimator(ABC, Generic[D]):
     """Models are the rows of `data`, whose priors and errors they are refined and judged by; see `msac.Estimator`.
 
     quick, thorough: the stages of both depths of the optimisation; a thorough one ends with the limit of the noise.
@@ -84,9 +61,25 @@ class PoseEstimator(Generic[D]):
     thorough: Stages
 
     def __init__(self, data: D) -> None:
-        self.data, self._single = data, data.single()
+        self.data = data
         tilt = float(data.gravity_sigma) * float(data.focal.mean())
         self.samples_per_hit = 1.0 + (tilt / TILT_PX) ** 2
+
+    @property
+    @abstractmethod
+    def sample_size(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def is_promising(self) -> bool: ...
+
+    @abstractmethod
+    def solve(self, samples: Int[Tensor, "s size"]) -> tuple[Float[Tensor, "s m d"], Bool[Tensor, "s m"]]: ...
+
+    @staticmethod
+    @abstractmethod
+    def explain(inliers: D, models: Float[Tensor, "k d"]) -> list[str]:
+        """Why inliers, of the problem or of each model's own, do not determine models; empty if they do."""
 
     @property
     def num_data(self) -> int:
@@ -106,6 +99,18 @@ class PoseEstimator(Generic[D]):
         data = self.data if rows is None else self.data.rows(rows)
         return optimized(data, models, max_error, self.thorough if thorough else self.quick, thorough)
 
+    def degeneracy(self, model: Float[Tensor, " d"], inliers: Bool[Tensor, " n"]) -> str:
+        return self.explain(self.data.rows(inliers), model[None])[0]
+
+    @cached_property
+    def _single(self) -> D:
+        return self.data.single()
+
+    def _headings(self, count: int) -> Float[Tensor, " {count}"] | None:
+        """Of so many samples, where it is known."""
+        known = self.data.known_heading
+        return None if known is None else self.data.focal.new_full((count,), float(known))
+
 
 class RelativePoseEstimator(PoseEstimator[TwoViews]):
     """Models are those of `TwoViews`: tilts of both cameras (4), heading and centre of the second, relative to the
@@ -116,6 +121,7 @@ class RelativePoseEstimator(PoseEstimator[TwoViews]):
     """
 
     quick, thorough = ((2.0, 3), (1.0, 3)), ((1.0, 40),)
+    explain = staticmethod(explain_relative)
 
     def __init__(self, views: TwoViews) -> None:
         require(views.plane1, "image coordinates")
@@ -138,17 +144,13 @@ class RelativePoseEstimator(PoseEstimator[TwoViews]):
         return are_coherent(self.data.plane1, self.data.plane2)
 
     def solve(self, samples: Int[Tensor, "s size"]) -> tuple[Float[Tensor, "s m 8"], Bool[Tensor, "s m"]]:
-        (one, two), heading = self._rays, self.data.known_heading
-        known = None if heading is None else one.new_full((len(samples),), heading)
-        return relative_models(one[samples], two[samples], known, self.data)
+        one, two = self._rays
+        return relative_models(one[samples], two[samples], self._headings(len(samples)), self.data)
 
     @cached_property
     def _rays(self) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
         views = self.data
         return level_rays(views.plane1, views.cam_from_level[0]), level_rays(views.plane2, views.cam_from_level[1])
-
-    def degeneracy(self, model: Float[Tensor, " 8"], inliers: Bool[Tensor, " n"]) -> str:
-        return explain_relative(self.data.rows(inliers), model)
 
 
 class AbsolutePoseEstimator(PoseEstimator[OneView]):
@@ -157,29 +159,30 @@ class AbsolutePoseEstimator(PoseEstimator[OneView]):
     Samples are solved with the measured vertical; the optimisation takes in its error.
     """
 
-    sample_size = 2
-    is_promising = True
-    quick, thorough = ((4.0, 2), (1.0, 2)), ((1.0, 12),)
+    quick, thorough = ((2.0, 3),), ((1.0, 12),)
+    explain = staticmethod(explain_absolute)
 
     def __init__(self, view: OneView) -> None:
         require(view.plane, "image coordinates")
         require(view.points, "points")
         super().__init__(view)
-        self._rays = level_rays(view.plane, view.cam_from_level)
+
+    @property
+    def sample_size(self) -> int:
+        return 2
+
+    @property
+    def is_promising(self) -> bool:
+        """Always: what is asked about sees points that exist."""
+        return True
 
     def solve(self, samples: Int[Tensor, "s 2"]) -> tuple[Float[Tensor, "s m 6"], Bool[Tensor, "s m"]]:
-        rays, points, index = self._rays[samples], self.data.points[samples], self.data.index_ratio
-        if self.data.known_heading is None:
-            heading, center, valid = unchecked_absolute_pose_2pt(rays, points, index)
-        else:
-            heading = rays.new_full((len(samples), 1), self.data.known_heading)
-            center, valid = unchecked_absolute_pose_known_heading(rays, points, heading[:, 0], index)
-            center, valid = center[:, None], valid[:, None]
-        tilt = torch.zeros_like(heading)[..., None].expand(*heading.shape, 2)
-        return torch.cat((tilt, heading[..., None], center), dim=-1), valid
+        rays, points = self._rays[samples], self.data.points[samples]
+        return absolute_models(rays, points, self._headings(len(samples)), self.data)
 
-    def degeneracy(self, model: Float[Tensor, " 6"], inliers: Bool[Tensor, " n"]) -> str:
-        return explain_absolute(self.data.rows(inliers), model)
+    @cached_property
+    def _rays(self) -> Float[Tensor, "n 3"]:
+        return level_rays(self.data.plane, self.data.cam_from_level)
 
 
 def relative_models(
@@ -195,8 +198,29 @@ def relative_models(
     else:
         center, valid = unchecked_relative_pose_3pt(rays1, rays2, heading, about.index_ratio, about.height)
         found, center, valid = heading[:, None], center[:, None], valid[:, None]
-    tilts = torch.zeros_like(found)[..., None].expand(*found.shape, 4)
-    return torch.cat((tilts, found[..., None], center), dim=-1), valid
+    return _upright(found, center, 4), valid
+
+
+def absolute_models(
+    rays: Float[Tensor, "s size 3"],
+    points: Float[Tensor, "s size 3"],
+    heading: Float[Tensor, " s"] | None,
+    about: OneView,
+) -> tuple[Float[Tensor, "s m 6"], Bool[Tensor, "s m"]]:
+    """Models of minimal samples of level rays and points, without tilt, and which are valid; heading: of each, where it
+    is known. about: has the index ratio."""
+    if heading is None:
+        found, center, valid = unchecked_absolute_pose_2pt(rays, points, about.index_ratio)
+    else:
+        center, valid = unchecked_absolute_pose_known_heading(rays, points, heading, about.index_ratio)
+        found, center, valid = heading[:, None], center[:, None], valid[:, None]
+    return _upright(found, center, 2), valid
+
+
+def _upright(heading: Float[Tensor, "s m"], center: Float[Tensor, "s m 3"], tilts: int) -> Float[Tensor, "s m _"]:
+    """Models without tilts."""
+    zeros = torch.zeros_like(heading)[..., None].expand(*heading.shape, tilts)
+    return torch.cat((zeros, heading[..., None], center), dim=-1)
 
 
 def level_rays(
@@ -207,20 +231,20 @@ def level_rays(
 
 
 def optimized(
-    data: PoseData, models: Float[Tensor, "k d"], max_error: float, stages: Stages, thorough: bool
+    data: PoseData[Any], models: Float[Tensor, "k d"], max_error: float, stages: Stages, thorough: bool
 ) -> tuple[Float[Tensor, "k d"], Float[Tensor, " k"]]:
     """Models refined in stages, a thorough optimisation with the limit of the noise at last, and their costs."""
     found = _Judged.of(data, models)
     refined = refine_in_stages(data, models, max_error, stages)
     found = found.unless_fewer_agree(_Judged.of(data, refined), max_error)
     if thorough:
-        refined = data.refine(found.models, tightened(found.squared_errors, max_error), LAST_ITERATIONS).states
+        refined = data.refine(found.models, tightened(found.errors.squared, max_error), LAST_ITERATIONS).states
         found = found.unless_fewer_agree(_Judged.of(data, refined), max_error)
-    return found.models, data.costs(found.models, max_error)
+    return found.models, data.costs(found.models, max_error, found.errors)
 
 
 def refine_in_stages(
-    data: PoseData, models: Float[Tensor, "k d"], max_error: float, stages: Stages
+    data: PoseData[Any], models: Float[Tensor, "k d"], max_error: float, stages: Stages
 ) -> Float[Tensor, "k d"]:
     for widened, iterations in stages:
         models = data.refine(models, widened * max_error, iterations).states

@@ -46,6 +46,11 @@ class EpipolarError(NamedTuple):
         """Whether the two rays can come from one point under water."""
         return self.down & (self.depth > 0.0)
 
+    @property
+    def squared(self) -> Float[Tensor, "*batch n"]:
+        """Infinite where the rays do not meet below the water."""
+        return torch.where(self.possible, self.error.square(), torch.inf)
+
 
 class EpipolarJacobian(NamedTuple):
     """error in pixels with its derivatives: in a turn of each camera about the axes of the world, R <- R exp([t]x), and

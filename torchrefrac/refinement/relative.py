@@ -10,12 +10,11 @@ weak directions in which a few of these can pull it away by many standard deviat
 whose depth is not far from that of the bulk.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.checks import can_be_looked_at
@@ -23,34 +22,30 @@ from torchrefrac.geometry import triples
 from torchrefrac.minimal import triangulate
 from torchrefrac.minimal.rays import require_matches
 from torchrefrac.optim import Quadratic, SmallReport, minimize_each
+from torchrefrac.refinement.data import Costs, PoseData
 from torchrefrac.refinement.epipolar import EpipolarError, Pair, Views, epipolar_error, epipolar_jacobian, rays_in_water
 from torchrefrac.refinement.tilt import (
     Limit,
     Sigma,
     beside,
-    prior_costs,
     tilted_rotation,
     turn_by_tilt,
-    with_priors,
 )
 
 HEADING, CENTER, UNKNOWNS = 4, slice(5, 8), 8
-TENSORS = ("plane1", "plane2", "cam_from_level", "focal", "index_ratio")
 Models = Float[Tensor, "h 8"]
 
 
 @dataclass(frozen=True)
-class TwoViews:
+class TwoViews(PoseData[EpipolarError]):
     """Matches of two cameras: ideal image coordinates plane1, plane2, cam_from_level from the measured verticals, focal
-    in pixels, of both or of each, and the height of the first camera.
+    in pixels, of both or of each, and the height of the first camera. Of one pair or of many (see `PoseData`).
 
     gravity_sigma: expected error of a vertical in radians; 0 takes them for exact, infinity leaves the tilts free.
     pixel_sigma weighs pixels against it. known_heading: in radians, where it was measured too.
-
-    Of one pair of cameras, whatever the models are; or each model has one of its own: matches, verticals, focal lengths
-    and gravity_sigma then have a first dimension for the models, and `exists` says which matches there are, where a
-    pair has fewer than the table.
     """
+
+    DATA, UNKNOWNS = ("plane1", "plane2"), UNKNOWNS
 
     plane1: Float[Tensor, "*own n 2"]
     plane2: Float[Tensor, "*own n 2"]
@@ -60,23 +55,12 @@ class TwoViews:
     height: float = 1.0
     gravity_sigma: Sigma = 0.0
     pixel_sigma: float = 0.5
-    known_heading: float | None = None
+    known_heading: Sigma | None = None
     exists: Bool[Tensor, "own n"] | None = None
 
     def __post_init__(self) -> None:
         if self.plane1.dim() != 3:
             require_matches(self.plane1, plane2=self.plane2)
-
-    def __len__(self) -> int:
-        return self.plane1.shape[-2]
-
-    def rows(self, rows: Shaped[Tensor, " some"]) -> "TwoViews":
-        """Some of the matches."""
-        return replace(self, plane1=self.plane1[rows], plane2=self.plane2[rows])
-
-    def single(self) -> "TwoViews":
-        """The same in single precision: enough to tell hypotheses apart."""
-        return replace(self, **{name: getattr(self, name).float() for name in TENSORS})
 
     def errors(self, models: Models) -> EpipolarError:
         """Epipolar errors in pixels, and the depths at which the rays meet."""
@@ -85,24 +69,17 @@ class TwoViews:
             return found
         return found._replace(error=torch.where(self.exists, found.error, torch.inf), down=found.down & self.exists)
 
-    def squared_errors(self, models: Models) -> Float[Tensor, "h n"]:
-        """Squared epipolar errors in pixels; inf where the rays do not meet below the water."""
-        errors = self.errors(models)
-        return torch.where(errors.possible, errors.error.square(), torch.inf)
-
     def points(self, models: Models) -> Float[Tensor, "h n 3"]:
         """Points next to both rays of each match."""
         rays = zip(*(rays_in_water(view, self.index_ratio) for view in self.views(models)), strict=True)
         return triangulate(*(torch.stack(torch.broadcast_tensors(*pair), dim=-2) for pair in rays))[0]
 
-    def costs(self, models: Models, max_error: Limit) -> Float[Tensor, " h"]:
-        """Truncated sums of squared errors in pixels, and the prior on the tilts. Matches whose rays do not meet below
-        the water, or not at the depth of the bulk, count as outliers."""
-        errors = self.errors(models)
+    def costs_of(self, errors: EpipolarError, max_error: Limit) -> Float[Tensor, " h"]:
+        """Truncated sums of squared errors in pixels. Matches whose rays do not meet below the water, or not at the
+        depth of the bulk, count as outliers."""
         limit = beside(max_error, errors.error) ** 2
         inside = errors.possible & _bulk(errors, max_error)
-        cost = self._sum(torch.where(inside, errors.error.square(), limit).minimum(limit))
-        return cost + 2.0 * prior_costs(models, self.gravity_sigma, self.pixel_sigma)
+        return self._sum(torch.where(inside, errors.error.square(), limit).minimum(limit))
 
     def poses(self, models: Models) -> tuple[Float[Tensor, "h 2 3 3"], Float[Tensor, "h 2 3"]]:
         """Rotations cam_from_world and centres of both cameras."""
@@ -130,42 +107,23 @@ class TwoViews:
     def refine(self, models: Models, max_error: Limit, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
         """Minimise the truncated cost from models; matches beyond max_error do not count."""
         active = _bulk(self.errors(models), max_error)
-        return minimize_each(_Costs(self, max_error, active), models, max_iterations, tolerance)
+        return minimize_each(Costs(self, max_error, active), models, max_iterations, tolerance)
 
-    def of_models(self, rows: Int[Tensor, " some"]) -> "TwoViews":
-        """What some of the models have, where each has its own."""
-        if self.exists is None:
-            return self
-        sigma = self.gravity_sigma
-        return replace(
-            self,
-            plane1=self.plane1[rows],
-            plane2=self.plane2[rows],
-            cam_from_level=self.cam_from_level[rows],
-            focal=self.focal[rows],
-            gravity_sigma=sigma[rows] if isinstance(sigma, Tensor) else sigma,
-            exists=self.exists[rows],
-        )
-
-    def linearize(self, models: Models, max_error: Limit, active: Bool[Tensor, "h n"]) -> Quadratic:
+    def linearize(self, models: Models, max_error: Limit, active: Bool[Tensor, "h n"] | None = None) -> Quadratic:
         """The cost in squared pixels, half a sum, and its quadratic model in the eight unknowns."""
         by = epipolar_jacobian(*self.views(models), self.index_ratio)
         error, widest = by.error, beside(max_error, by.error)
-        inside = active & (error.abs() < widest)
-        inside = inside if self.exists is None else inside & self.exists
+        inside = error.abs() < widest
+        for counts in (active, self.exists):
+            inside = inside if counts is None else inside & counts
         weight = inside.to(error.dtype)
         cost = 0.5 * self._sum(torch.where(inside, error.square(), widest**2))
-        jacobian = torch.stack((*by.turn[0], *by.turn[1], *by.center[1]), dim=1) * weight[:, None]
+        jacobian = torch.stack([part * weight for part in (*by.turn[0], *by.turn[1], *by.center[1])], dim=1)
         chart = self._chart(models)
         hessian = chart.mT @ (jacobian @ jacobian.mT) @ chart
         weighted = torch.where(inside, error, 0.0)
         gradient = (chart.mT @ (jacobian @ weighted[..., None]))[..., 0]
-        quadratic = Quadratic(cost, gradient, hessian)
-        return with_priors(models, quadratic, self.gravity_sigma, self.pixel_sigma, self.known_heading is not None)
-
-    def _sum(self, values: Float[Tensor, "h n"]) -> Float[Tensor, " h"]:
-        """Over the matches that there are."""
-        return (values if self.exists is None else torch.where(self.exists, values, 0.0)).sum(dim=-1)
+        return self.priors.added_to(Quadratic(cost, gradient, hessian), models)
 
     def _angles(self, models: Models) -> tuple[Float[Tensor, "h 2 2"], Float[Tensor, "h 2"]]:
         """Tilts and headings of both cameras."""
@@ -190,21 +148,6 @@ class TwoViews:
         if self.focal.dim() == 3:
             return [(fx, fy) for fx, fy in (of_view[..., None].unbind(dim=1) for of_view in self.focal.unbind(dim=1))]
         return [(fx, fy) for fx, fy in self.focal.expand(2, 2)]
-
-
-class _Costs(NamedTuple):
-    """Those of models as `Separable` problems; active: which matches count for each."""
-
-    views: TwoViews
-    max_error: Limit
-    active: Bool[Tensor, "h n"]
-
-    def linearize(self, states: Models) -> Quadratic:
-        return self.views.linearize(states, self.max_error, self.active)
-
-    def subset(self, rows: Int[Tensor, " some"]) -> "_Costs":
-        limit = self.max_error[rows] if isinstance(self.max_error, Tensor) else self.max_error
-        return _Costs(self.views.of_models(rows), limit, self.active[rows])
 
 
 def _share_first(models: Models) -> bool:

@@ -6,8 +6,7 @@ is one on the length of t, and t = 0 is what the solvers with known vertical fin
 heading, centre) with two tilts a camera, the centre being that of the last camera.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -20,16 +19,6 @@ from torchrefrac.optim import Quadratic
 
 Sigma = float | Float[Tensor, " k"]
 Limit = float | Float[Tensor, " k"]
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Poses as `SmallProblems`, of which all that is known is their quadratic models."""
-
-    model: Callable[[Float[Tensor, "k d"]], Quadratic]
-
-    def linearize(self, states: Float[Tensor, "k d"]) -> Quadratic:
-        return self.model(states)
 
 
 def beside(limit: Limit, errors: Float[Tensor, "k n"]) -> Float[Tensor, "*k 1"]:
@@ -90,47 +79,49 @@ def _coefficients(x: Float[Tensor, "*batch"], y: Float[Tensor, "*batch"]) -> tup
     return angle_sq, torch.sinc(turns), 0.5 * torch.sinc(0.5 * turns).square()
 
 
-def with_priors(
-    models: Float[Tensor, "k d"], quadratic: Quadratic, gravity_sigma: Sigma, pixel_sigma: float, known_heading: bool
-) -> Quadratic:
-    """The cost of models in squared pixels with gravity as a prior on the tilts.
+class Priors(NamedTuple):
+    """What is known of models beside pixels. A camera below the water costs infinitely much.
 
-    gravity_sigma, of all models or of each: 0 fixes the tilts; known_heading the heading: their part of the quadratic
-    model becomes the identity. A camera below the water costs infinitely much.
+    weight: of the squares of the unknowns, in squared pixels; None where gravity says nothing. free: 0 for unknowns
+    that stay as they are, whose part of a quadratic model becomes the identity, 1 for others; None where all are. Both
+    are one row for all models, or one for each.
     """
-    cost, gradient, hessian = quadratic
-    tilts = models.shape[-1] - 4
-    weight = _weights(models, gravity_sigma, pixel_sigma)
-    if weight is not None:
-        gradient, hessian = gradient + weight * models, hessian + torch.diag_embed(weight)
-    exact = like(gravity_sigma, models) == 0.0
-    if known_heading or (can_be_looked_at(models) and bool(exact.any())):
-        free = torch.ones_like(models)
-        free[:, :tilts] = (~exact).to(models)[..., None].expand(len(models), tilts)
-        free[:, tilts] = float(not known_heading)
-        gradient = gradient * free
-        hessian = hessian * free[:, :, None] * free[:, None] + torch.diag_embed(1.0 - free)
-    return Quadratic(cost + prior_costs(models, gravity_sigma, pixel_sigma), gradient, hessian)
 
+    weight: Float[Tensor, "*k d"] | None
+    free: Float[Tensor, "*k d"] | None
 
-def prior_costs(models: Float[Tensor, "k d"], gravity_sigma: Sigma, pixel_sigma: float) -> Float[Tensor, " k"]:
-    """What the priors add to the costs of models, in squared pixels, half a sum."""
-    weight = _weights(models, gravity_sigma, pixel_sigma)
-    tilted = 0.0 if weight is None else 0.5 * (weight * models.square()).sum(dim=-1)
-    return torch.where(models[:, -1] > 0.0, tilted, torch.inf)
+    @classmethod
+    def of(
+        cls,
+        gravity_sigma: Sigma,
+        pixel_sigma: float,
+        known_heading: bool,
+        unknowns: int,
+        reference: Float[Tensor, "..."],
+    ) -> "Priors":
+        """gravity_sigma: of all models or of each; 0 fixes the tilts, infinity leaves them free. known_heading: whether
+        the heading is fixed. reference: of the precision and the device of the models."""
+        sigma, tilts = like(gravity_sigma, reference.double())[..., None], unknowns - 4
+        known = (sigma > 0.0) & sigma.isfinite()
+        number = torch.arange(unknowns, device=reference.device)
+        weight = torch.where(known, pixel_sigma / torch.where(known, sigma, 1.0), 0.0).square() * (number < tilts)
+        fixed = ((sigma == 0.0) & (number < tilts)) | ((number == tilts) & known_heading)
+        nothing_said, nothing_fixed = (can_be_looked_at(sigma) and not bool(some.any()) for some in (known, fixed))
+        dtype = reference.dtype
+        return cls(None if nothing_said else weight.to(dtype), None if nothing_fixed else (~fixed).to(dtype))
 
+    def costs(self, models: Float[Tensor, "k d"]) -> Float[Tensor, " k"]:
+        """What they add to the costs of models, in squared pixels, half a sum."""
+        tilted = 0.0 if self.weight is None else 0.5 * (self.weight * models.square()).sum(dim=-1)
+        return torch.where(models[:, -1] > 0.0, tilted, torch.inf)
 
-def _weights(models: Float[Tensor, "k d"], gravity_sigma: Sigma, pixel_sigma: float) -> Float[Tensor, "*k d"] | None:
-    """Of the squares of the unknowns: those of the tilts. None where gravity is exact or unknown of all models."""
-    tilts = models.shape[-1] - 4
-    if isinstance(gravity_sigma, Tensor):
-        weight = torch.zeros_like(models)
-        known = (gravity_sigma > 0.0) & gravity_sigma.isfinite()
-        of_each = torch.where(known, pixel_sigma / torch.where(known, gravity_sigma, 1.0), 0.0).square()
-        weight[:, :tilts] = of_each.to(models)[..., None].expand(len(models), tilts)
-        return weight
-    if not 0.0 < gravity_sigma < float("inf"):
-        return None
-    weight = torch.zeros_like(models[0])
-    weight[:tilts] = (pixel_sigma / gravity_sigma) ** 2
-    return weight
+    def added_to(self, quadratic: Quadratic, models: Float[Tensor, "k d"]) -> Quadratic:
+        """The quadratic models with these."""
+        cost, gradient, hessian = quadratic
+        if self.weight is not None:
+            gradient = torch.addcmul(gradient, self.weight, models)
+            hessian = hessian + torch.diag_embed(self.weight)
+        if self.free is not None:
+            gradient = gradient * self.free
+            hessian = hessian * self.free[..., :, None] * self.free[..., None, :] + torch.diag_embed(1.0 - self.free)
+        return Quadratic(cost + self.costs(models), gradient, hessian)

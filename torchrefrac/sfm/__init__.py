@@ -11,10 +11,10 @@ from torchrefrac.sfm.outcome import Adjustment, Filtering, Outcome, Registration
 from torchrefrac.sfm.pinhole import PinholeInitializer
 from torchrefrac.sfm.placing import Placed, placed_in_survey, upright
 from torchrefrac.sfm.ports import PortInitializer
-from torchrefrac.sfm.pose import PairPose, Pose, PoseInitializer
+from torchrefrac.sfm.pose import PairPose, Pose, PoseInitializer, Resection
 from torchrefrac.sfm.readjust import readjust
 from torchrefrac.sfm.refractive import RefractiveInitializer
-from torchrefrac.sfm.register import register, start
+from torchrefrac.sfm.register import register, register_each, start
 from torchrefrac.sfm.rules import ReadjustOptions, Rules, SfmOptions
 from torchrefrac.sfm.stated_levels import check_levels
 from torchrefrac.sfm.triangulate import triangulate
@@ -27,11 +27,11 @@ from torchrefrac.sfm.water_normal import with_found_normal
 
 __all__ = [
     "Adjustment", "Filtering", "NoInitialPairError", "Outcome", "PairPose", "PinholeInitializer", "Placed",
-    "PortInitializer", "Pose", "PoseInitializer", "ReadjustOptions", "RefractiveInitializer", "Registration", "Rules",
-    "SfmOptions", "Start", "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust", "better_focal",
-    "check_levels", "complete_gravity", "errors_are_rough", "errors_in_air_and_water", "facing_wall", "filter_points",
-    "fits_better_in_air", "gravity_in_world", "level_capture", "looks_through_wall", "placed_in_survey", "readjust",
-    "reconstruct_sparse", "register", "start", "triangulate", "triangulate_tracks", "upright", "verify_pairs",
-    "with_found_level", "with_found_normal", "with_likely_focals", "with_noise_found", "with_right_gravity",
-    "with_upright_wall",
+    "PortInitializer", "Pose", "PoseInitializer", "ReadjustOptions", "RefractiveInitializer", "Registration",
+    "Resection", "Rules", "SfmOptions", "Start", "Triangulation", "UnknownVerticalError", "VerifiedPair", "adjust",
+    "better_focal", "check_levels", "complete_gravity", "errors_are_rough", "errors_in_air_and_water", "facing_wall",
+    "filter_points", "fits_better_in_air", "gravity_in_world", "level_capture", "looks_through_wall",
+    "placed_in_survey", "readjust", "reconstruct_sparse", "register", "register_each", "start", "triangulate",
+    "triangulate_tracks", "upright", "verify_pairs", "with_found_level", "with_found_normal", "with_likely_focals",
+    "with_noise_found", "with_right_gravity", "with_upright_wall",
 ]  # fmt: skip

@@ -36,7 +36,7 @@ from torchrefrac.sfm.land import flooded
 from torchrefrac.sfm.levels import with_levels, with_surfaces
 from torchrefrac.sfm.outcome import Outcome
 from torchrefrac.sfm.pose import PoseInitializer
-from torchrefrac.sfm.register import MIN_INITIAL_POINTS, rank_initial_pairs, register, start, visible_points
+from torchrefrac.sfm.register import MIN_INITIAL_POINTS, rank_initial_pairs, register_each, start, visible_points
 from torchrefrac.sfm.rules import Rules, SfmOptions
 from torchrefrac.sfm.stated_levels import StatedLevels
 from torchrefrac.sfm.survey_frame import SurveyFrame, placed_by_survey
@@ -168,8 +168,7 @@ class _Growth:
         joined = torch.zeros_like(scene.views.registered)
         while len(views := self._next_views(scene)):
             before = scene.views.registered
-            for view in views.tolist():
-                scene = self._register(scene, view)
+            scene = self._register(scene, views.tolist())
             new = scene.views.registered & ~before
             if not bool(new.any()):
                 continue
@@ -194,19 +193,21 @@ class _Growth:
         several = left & (seen >= NEARLY * seen[order[0]])
         return order[: min(max(most, 1), int(several.sum()))]
 
-    def _register(self, scene: Scene, view: int) -> Scene:
-        """With one more view, or as it was where that has no pose."""
-        scene, outcome = register(scene, view, self.rules)
-        seen, name = int(outcome.numbers["seen"]), scene.views.names[view]
-        if not outcome.done:
-            self._refused[view] = seen
-            self.failures[name] = str(outcome)
-            self.recorder.detail(f"{name} is not registered: {outcome}")
-            return scene
-        self.failures.pop(name, None)
-        registered, agreeing = scene.views.num_registered, outcome.numbers["agreeing"]
-        self.recorder.scalar("registration/inliers", agreeing, registered)
-        self.recorder.scalar("registration/inlier_ratio", agreeing / seen, registered)
+    def _register(self, scene: Scene, views: Sequence[int]) -> Scene:
+        """With more views, but those that have no pose."""
+        registered = scene.views.num_registered
+        scene, outcomes = register_each(scene, views, self.rules)
+        for view, outcome in zip(views, outcomes, strict=True):
+            seen, name = int(outcome.numbers["seen"]), scene.views.names[view]
+            if not outcome.done:
+                self._refused[view] = seen
+                self.failures[name] = str(outcome)
+                self.recorder.detail(f"{name} is not registered: {outcome}")
+                continue
+            self.failures.pop(name, None)
+            registered, agreeing = registered + 1, outcome.numbers["agreeing"]
+            self.recorder.scalar("registration/inliers", agreeing, registered)
+            self.recorder.scalar("registration/inlier_ratio", agreeing / seen, registered)
         return scene
 
     def adjust(self, scene: Scene, joined: Bool[Tensor, " m"] | None = None) -> Scene:

@@ -1,8 +1,9 @@
 """What an initialiser must be able to do: the pose of a pair, and of one more view; and which matches agree on one."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import torch
 from jaxtyping import Bool, Float
@@ -18,6 +19,15 @@ from torchrefrac.sfm.rays import Rays
 DEEPEST = 5.0  # times the height of the cameras, of what is seen straight below the water's level
 
 Pixels = tuple[Float[Tensor, "k 2"], Float[Tensor, "k 2"]]
+
+
+class Resection(NamedTuple):
+    """What the pose of an image follows from: the intrinsics of its camera, and known points with their pixels."""
+
+    image: int
+    intrinsics: Intrinsics
+    pixels: Float[Tensor, "k 2"]
+    points: Float[Tensor, "k 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +82,13 @@ class PoseInitializer(Protocol):
         """Pose of an image, whose camera has these intrinsics, that sees known points at these pixels."""
         ...
 
+    def absolute_each(self, images: Sequence[Resection], generators: Sequence[torch.Generator]) -> list[Pose | None]:
+        """Poses of some images, each with draws of its own; best in one call for images that see about as much."""
+        ...
+
 
 class OneByOne:
-    """For an initialiser that finds the poses of pairs one after the other."""
+    """For an initialiser that finds the poses of pairs, and of images, one after the other."""
 
     def relative(self, images: tuple[int, int], pixels: Pixels, generator: torch.Generator) -> PairPose | None:
         raise NotImplementedError
@@ -83,6 +97,25 @@ class OneByOne:
         self, images: Sequence[tuple[int, int]], pixels: Sequence[Pixels], generators: Sequence[torch.Generator]
     ) -> list[PairPose | None]:
         return [self.relative(*pair) for pair in zip(images, pixels, generators, strict=True)]
+
+    def absolute(
+        self,
+        image: int,
+        intrinsics: Intrinsics,
+        pixels: Float[Tensor, "k 2"],
+        points: Float[Tensor, "k 3"],
+        generator: torch.Generator,
+    ) -> Pose | None:
+        raise NotImplementedError
+
+    def absolute_each(self, images: Sequence[Resection], generators: Sequence[torch.Generator]) -> list[Pose | None]:
+        return [self.absolute(*image, generator) for image, generator in zip(images, generators, strict=True)]
+
+
+def draws_of(seed: int, *images: int) -> torch.Generator:
+    """Random numbers that belong to an image or a pair: whatever the others are, and however often these are asked."""
+    number = hashlib.sha256(repr((seed, *images)).encode()).digest()[:8]
+    return torch.Generator().manual_seed(int.from_bytes(number, "big"))
 
 
 def judge_pair(

@@ -1,7 +1,8 @@
 """Poses through the water with measured verticals (paper, section 3.4)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -10,14 +11,23 @@ from torch import Tensor
 from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry import Rigid, level_rotation
 from torchrefrac.numerics import device_of, on_device
-from torchrefrac.ransac import AbsolutePoseEstimator, RansacReport, RelativePoseEstimators, ransac, ransac_each
-from torchrefrac.refinement import OneView, TwoViews
+from torchrefrac.ransac import (
+    AbsolutePoseEstimators,
+    Estimators,
+    RansacOptions,
+    RansacReport,
+    RelativePoseEstimators,
+    ransac_each,
+)
+from torchrefrac.refinement import OneView, PoseData, TwoViews
 from torchrefrac.scene import Capture
-from torchrefrac.sfm.pose import PairPose, Pixels, Pose, judge_pair
+from torchrefrac.sfm.pose import PairPose, Pixels, Pose, Resection, judge_pair
 from torchrefrac.sfm.rules import SfmOptions
 
 THICK = 25.0
 """Times the layers before the water, of a first height that nobody states."""
+
+D = TypeVar("D", bound=PoseData[Any])
 
 
 @dataclass(frozen=True)
@@ -44,8 +54,7 @@ class RefractiveInitializer:
         dry = [self._dry(*pair) for pair in zip(images, pixels, strict=True)]
         views = [self._views(*pair) for pair in zip(images, pixels, dry, strict=True)]
         options = replace(self.options.ransac, min_inliers=least)
-        estimators = RelativePoseEstimators(on_device(views, device_of(self.options.device)))
-        reports = on_device(ransac_each(estimators, options, generators), views[0].plane1.device)
+        reports = self._reports(RelativePoseEstimators, views, options, generators)
         return [self._judged(*pair) for pair in zip(reports, views, images, pixels, dry, strict=True)]
 
     def _views(self, images: tuple[int, int], pixels: Pixels, dry: Bool[Tensor, " k"] | None) -> TwoViews:
@@ -89,7 +98,19 @@ class RefractiveInitializer:
         points: Float[Tensor, "k 3"],
         generator: torch.Generator,
     ) -> Pose | None:
-        view = OneView(
+        return self.absolute_each([Resection(image, intrinsics, pixels, points)], [generator])[0]
+
+    def absolute_each(self, images: Sequence[Resection], generators: Sequence[torch.Generator]) -> list[Pose | None]:
+        if not images:
+            return []
+        views = [self._view(*image) for image in images]
+        reports = self._reports(AbsolutePoseEstimators, views, self.options.ransac, generators)
+        return [self._pose(*found) for found in zip(reports, views, strict=True)]
+
+    def _view(
+        self, image: int, intrinsics: Intrinsics, pixels: Float[Tensor, "k 2"], points: Float[Tensor, "k 3"]
+    ) -> OneView:
+        return OneView(
             intrinsics.plane_from_pixels(pixels),
             points,
             cam_from_level=level_rotation(self.capture.down_in_cam[image]),
@@ -98,11 +119,23 @@ class RefractiveInitializer:
             gravity_sigma=float(self.capture.down_sigma[image]),
             pixel_sigma=self.options.bundle.pixel_sigma,
         )
-        report = ransac(AbsolutePoseEstimator(view), self.options.ransac, generator)
+
+    def _pose(self, report: RansacReport, view: OneView) -> Pose | None:
         if report.status != "success":
             return None
         rotation, center = (part[0] for part in view.poses(report.model[None]))
         return Pose(rotation, center - self._lift, report.inliers)
+
+    def _reports(
+        self,
+        estimators: Callable[[Sequence[D]], Estimators],
+        problems: Sequence[D],
+        options: RansacOptions,
+        generators: Sequence[torch.Generator],
+    ) -> list[RansacReport]:
+        """Of problems that are solved on the device of the options; where the problems are."""
+        there = estimators(on_device(problems, device_of(self.options.device)))
+        return on_device(ransac_each(there, options, generators), problems[0].focal.device)
 
     def _before_layers(self, center: Float[Tensor, "2 3"], first: int) -> Float[Tensor, "2 3"]:
         """Centres of a pair, of which that of image `first` is at height 1, in the unit of the layers, if there are

@@ -1,4 +1,4 @@
-"""Views by their poses: the pair that the reconstruction grows from, and one more."""
+"""Views by their poses: the pair that the reconstruction grows from, and more."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchrefrac.scene import Scene
 from torchrefrac.sfm.outcome import Outcome, Registration, Start
+from torchrefrac.sfm.pose import Pose, Resection, draws_of
 from torchrefrac.sfm.rules import Rules, SfmOptions
 from torchrefrac.sfm.triangulate import triangulate
 from torchrefrac.sfm.verification import VerifiedPair
@@ -55,19 +56,55 @@ def register(scene: Scene, view: int, rules: Rules) -> tuple[Scene, Outcome]:
 
     The scene is the one given where that fails.
     """
+    scene, outcomes = register_each(scene, [view], rules)
+    return scene, outcomes[0]
+
+
+def register_each(scene: Scene, views: Sequence[int], rules: Rules) -> tuple[Scene, list[Outcome]]:
+    """`register` of some views at once, each by itself from the same points."""
     if rules.poses is None:
         raise ValueError("rules.poses is None, but must find poses")
+    rows = dict(zip(views, _usable_rows(scene, views), strict=True))
+    asked = [view for view in views if len(rows[view]) >= rules.min_registration_inliers]
+    known = [_resection(scene, view, rows[view]) for view in asked]
+    found = rules.poses.absolute_each(known, [draws_of(rules.seed, view) for view in asked])
+    poses = {view: pose for view, pose in zip(asked, found, strict=True) if pose is not None}
+    outcomes = {view: _outcome(len(rows[view]), poses.get(view), rules) for view in views}
+    done = [view for view in poses if outcomes[view].done]
+    if done:
+        rotation, center = (
+            torch.stack([getattr(poses[view], part) for view in done]) for part in ("rotation", "center")
+        )
+        accepted = torch.cat([rows[view][poses[view].inliers] for view in done])
+        scene = replace(
+            scene,
+            views=scene.views.at(rotation, center, torch.tensor(done)),
+            accepted=scene.accepted.index_fill(0, accepted, True),
+        )
+    return scene, list(outcomes.values())
+
+
+def _usable_rows(scene: Scene, views: Sequence[int]) -> list[Int[Tensor, " k"]]:
+    """The observations of each of some views by which its pose can be found."""
     seen = scene.observations
-    rows = ((seen.view == view) & _usable(scene)[seen.point]).nonzero()[:, 0]
-    numbers = {"seen": len(rows), "needed": rules.min_registration_inliers, "agreeing": 0}
-    if len(rows) < rules.min_registration_inliers:
-        return scene, Outcome(Registration.FEW_POINTS, numbers)
+    place = torch.full((len(scene.views),), -1).index_copy(
+        0, torch.tensor(views, dtype=torch.long), torch.arange(len(views))
+    )
+    rows = ((place[seen.view] >= 0) & _usable(scene)[seen.point]).nonzero()[:, 0]
+    of = place[seen.view[rows]]
+    return list(rows[of.argsort(stable=True)].split(torch.bincount(of, minlength=len(views)).tolist()))
+
+
+def _resection(scene: Scene, view: int, rows: Int[Tensor, " k"]) -> Resection:
+    seen = scene.observations
     intrinsics = scene.cameras.of_views(scene.views.camera[view])
-    pose = rules.poses.absolute(view, intrinsics, seen.pixels[rows], scene.points[seen.point[rows]], rules.generator)
-    if pose is not None:
-        numbers["agreeing"] = int(pose.inliers.sum())
-    if pose is None or numbers["agreeing"] < rules.min_registration_inliers:
-        return scene, Outcome(Registration.NO_POSE, numbers)
-    views = scene.views.at(pose.rotation[None], pose.center[None], torch.tensor([view]))
-    accepted = scene.accepted.index_fill(0, rows[pose.inliers], True)
-    return replace(scene, views=views, accepted=accepted), Outcome(Registration.DONE, numbers)
+    return Resection(view, intrinsics, seen.pixels[rows], scene.points[seen.point[rows]])
+
+
+def _outcome(seen: int, pose: Pose | None, rules: Rules) -> Outcome:
+    """How the registration of a view ends that sees so many usable points."""
+    needed, agreeing = rules.min_registration_inliers, 0 if pose is None else int(pose.inliers.sum())
+    numbers = {"seen": seen, "needed": needed, "agreeing": agreeing}
+    if seen < needed:
+        return Outcome(Registration.FEW_POINTS, numbers)
+    return Outcome(Registration.DONE if agreeing >= needed else Registration.NO_POSE, numbers)

@@ -50,8 +50,8 @@ class Rules:
     rough: poses may be far off, so that a point is first put where its observations meet best under a loss in which
     errors beyond `loss_scale` pixels count linearly, and judged there. bundle: how to adjust. measurements: what is
     known besides pixels of a part of the scene. fixed_poses: points and water alone are adjusted. poses: finds poses
-    without a start; generator: of its random samples. device: where adjustments are done, see `device_of`; auto: on
-    the CPU where they have fewer than WORTH_A_GPU observations.
+    without a start; seed: of the random samples of each view. device: where adjustments are done, see `device_of`;
+    auto: on the CPU where they have fewer than WORTH_A_GPU observations.
     """
 
     max_error: float = 4.0
@@ -66,7 +66,7 @@ class Rules:
     measurements: Measurements = nothing_measured
     fixed_poses: bool = False
     poses: PoseInitializer | None = None
-    generator: torch.Generator = field(default_factory=lambda: torch.Generator().manual_seed(0))
+    seed: int = 0
     device: str = AUTO
 
     def to_adjust(self, part: Part) -> tuple[Scene, Sequence[Term]]:
@@ -88,7 +88,7 @@ class SfmOptions:
     only 2 are registered). global_growth: adjust everything whenever the number of images has grown by this factor.
     many_images: from so many on views are registered in rounds, these are mostly adjustments of the views that have
     joined and of their neighbours, and the last ones end when the cost hardly falls any more. device: where pairs are
-    verified, see `device_of`, and adjustments are done, see `Rules`.
+    verified and views registered, see `device_of`, and adjustments are done, see `Rules`.
     """
 
     ransac: RansacOptions = field(default_factory=lambda: RansacOptions(max_samples=8192))
@@ -131,7 +131,7 @@ class SfmOptions:
             bundle=self.bundle,
             measurements=measurements,
             poses=poses,
-            generator=seed if isinstance(seed, torch.Generator) else torch.Generator().manual_seed(seed),
+            seed=int(torch.randint(1 << 31, (), generator=seed)) if isinstance(seed, torch.Generator) else seed,
             device=self.device,
         )
 

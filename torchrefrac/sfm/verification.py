@@ -1,6 +1,5 @@
 """Geometric verification: which matches of a pair agree on one relative pose."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,7 +13,7 @@ from torchrefrac.features import Features, PairMatches
 from torchrefrac.files.work import Arrays, Work
 from torchrefrac.recorder import Recorder
 from torchrefrac.sfm.pair_arrays import POSES, packed, unpacked
-from torchrefrac.sfm.pose import PairPose, Pixels, PoseInitializer
+from torchrefrac.sfm.pose import PairPose, Pixels, PoseInitializer, draws_of
 
 AT_ONCE = 32
 """Pairs that are verified in one part of the work."""
@@ -121,9 +120,4 @@ def _poses(initializer: PoseInitializer, seed: int, jobs: Sequence[_Job]) -> Arr
 def _poses_of(initializer: PoseInitializer, seed: int, jobs: Sequence[_Job]) -> list[PairPose | None]:
     """Of each pair, with draws of its own."""
     images, pixels = [job.images for job in jobs], [job.pixels for job in jobs]
-    return initializer.relative_each(images, pixels, [_generator(seed, pair) for pair in images])
-
-
-def _generator(seed: int, images: tuple[int, int]) -> torch.Generator:
-    number = hashlib.sha256(repr((seed, *images)).encode()).digest()[:8]
-    return torch.Generator().manual_seed(int.from_bytes(number, "big"))
+    return initializer.relative_each(images, pixels, [draws_of(seed, *pair) for pair in images])
