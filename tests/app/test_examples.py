@@ -9,13 +9,13 @@ import pytest
 
 import torchrefrac
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "tools" / "examples"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 RATIO = 1.33  # of the embedded scene, whose water level is 0
 
 
 @pytest.fixture
 def example():
-    """The module of tools/examples/learn_water.py."""
+    """The module of examples/learn_water.py."""
     spec = importlib.util.spec_from_file_location("learn_water", EXAMPLES / "learn_water.py")
     assert spec is not None
     assert spec.loader is not None

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from copy import copy
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -111,6 +112,24 @@ class RefractiveRays(Dataset[Rays]):
         inside = number - self._table.starts[view]
         place = torch.stack((inside % width, inside // width), dim=-1)
         return self._rays(self.cameras[view], place, self._table[number], view)
+
+    def with_cameras(self, cameras: RefractiveCamera) -> "RefractiveRays":
+        """The same photographs, seen by others of as many cameras (m), in the same order."""
+        if cameras.shape != self.cameras.shape:
+            raise ValueError(
+                f"cameras have batch shape {tuple(cameras.shape)}, but must have {tuple(self.cameras.shape)}"
+            )
+        other = copy(self)
+        other.cameras = NamedCameras(
+            cameras.intrinsics,
+            cameras.cam_from_world_rotation,
+            cameras.center_in_world,
+            cameras.interface,
+            check=False,
+            names=self.names,
+        )
+        other._refracts = bool(cameras.interface.refracts().any())
+        return other
 
     def image(self, view: int) -> Rays:
         """The rays of a whole photograph (height, width)."""

@@ -1,6 +1,6 @@
 """Learn the refractive index of the water and the height of its surface from images, by photometric loss alone.
 
-    python tools/examples/learn_water.py [--index-ratio 1.25] [--height 3.0] [--steps 60]
+    python examples/learn_water.py [--index-ratio 1.25] [--height 3.0] [--steps 60]
 
 The embedded tank was photographed by eight cameras; their poses and the three textured boards in the water have been
 surveyed, but nobody knows the water. Start from a wrong guess: a pixel of one image is followed through the surface to
