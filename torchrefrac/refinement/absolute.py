@@ -28,7 +28,7 @@ Models = Float[Tensor, "h 6"]
 @dataclass(frozen=True)
 class OneView:
     """Points in the world and their ideal image coordinates plane; cam_from_level from the measured vertical, focal in
-    pixels.
+    pixels. Lengths are in the unit of the points, the water is z = 0.
 
     gravity_sigma: expected error of the vertical in radians; 0 takes it for exact, infinity leaves the tilt free.
     pixel_sigma weighs pixels against it. known_heading: in radians, where it was measured too.
