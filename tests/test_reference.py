@@ -131,3 +131,14 @@ def test_a_docstring_is_of_sentences_and_names_units_and_errors(name):
         ]
 
     assert lacking == []
+
+
+def test_the_functions_that_are_named_beside_the_equations_of_the_paper_are_there():
+    named = re.findall(r"`([\w/]+\.py)::(\w+)`", (PAGES.parent / "paper.md").read_text(encoding="utf-8"))
+
+    assert len(named) > 30
+    assert [
+        f"{file}::{name}"
+        for file, name in named
+        if not re.search(rf"^ *(def|class) {name}\b", (PACKAGE / file).read_text(encoding="utf-8"), flags=re.MULTILINE)
+    ] == []
