@@ -31,7 +31,7 @@ lint-tests: $(READY)
 
 # The documentation, into site/. What a page lacks, or links to and is not there, is an error (strict, in mkdocs.yml).
 docs: $(READY)
-	$(BIN)/mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 # Needs an idle machine and half an hour; bench-baseline writes what it measures into tools/bench/baseline.json.
 bench: $(READY)
