@@ -7,13 +7,13 @@ READY := $(VENV)/.ready
 # See torchrefrac/launch.py: waiting OpenMP threads must not starve other processes.
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: demo test test-slow lint lint-tests bench bench-baseline clean
+.PHONY: demo test test-slow lint lint-tests docs bench bench-baseline clean
 
 demo: $(READY)
 	$(BIN)/torchrefrac -m scene=tank_small model=none,radial,refractive dense=patch out=outputs/demo
 
 # One worker for each core, up to eight, and one thread for each worker: more of them only wait for each other.
-test: lint
+test: lint docs
 	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow" -n auto --maxprocesses 8 --dist worksteal
 
 test-slow: $(READY)
@@ -29,6 +29,10 @@ lint: $(READY)
 lint-tests: $(READY)
 	$(BIN)/pyright -p tests
 
+# The documentation, into site/. What a page lacks, or links to and is not there, is an error (strict, in mkdocs.yml).
+docs: $(READY)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
 # Needs an idle machine and half an hour; bench-baseline writes what it measures into tools/bench/baseline.json.
 bench: $(READY)
 	$(BIN)/python tools/bench/baseline.py
@@ -37,10 +41,10 @@ bench-baseline: $(READY)
 	$(BIN)/python tools/bench/baseline.py --write
 
 clean:
-	rm -rf $(VENV) outputs/* .pytest_cache .ruff_cache
+	rm -rf $(VENV) outputs/* site .pytest_cache .ruff_cache
 
 # Remade whenever the versions or the package's own requirements change.
 $(READY): constraints.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[cluster,colmap,dev,geo,sweep]"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[cluster,colmap,dev,docs,geo,sweep]"
 	@touch $@

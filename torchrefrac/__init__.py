@@ -3,7 +3,9 @@
 The names below are loaded when they are first used, so that importing the package costs nothing.
 """
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -95,3 +97,19 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted([*globals(), *__all__])
+
+
+class _Package(ModuleType):
+    """The package, in which `evaluate` is the function, also when the room of that name has been imported: Python would
+    put the room in its place."""
+
+    @property
+    def evaluate(self) -> Any:
+        return import_module("torchrefrac.evaluate.metrics").evaluate
+
+    @evaluate.setter
+    def evaluate(self, room: ModuleType) -> None:
+        pass
+
+
+sys.modules[__name__].__class__ = _Package

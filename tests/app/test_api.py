@@ -12,7 +12,8 @@ from tests.files.metadata.made_photographs import write_photograph
 PUBLIC = {
     "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "ExecutorOptions",
     "FlatInterface", "ImportOptions", "Interfaces",
-    "Intrinsics", "LearnableCamera", "Observations", "Options", "Plane", "ReadjustOptions", "RefractiveCamera", "Rigid",
+    "Intrinsics", "LearnableCamera", "Observations", "Options", "Plane", "Rays", "ReadjustOptions", "RefractiveCamera",
+    "RefractiveRays", "Rigid",
     "Scene", "SfmOptions", "Survey", "TorchrefracError", "Truth", "Views", "Work", "Workers", "adjust",
     "adjust_differentiably", "bundle",
     "densify", "embedded_scene", "evaluate", "from_kornia", "import_photographs", "load_cameras", "load_capture",
@@ -43,6 +44,12 @@ def test_a_public_name_is_there_and_documented(name):
     said = vars(value).get("__doc__") if isinstance(value, type) else inspect.getdoc(value)
     assert said
     assert not said.startswith(f"{name}(")  # which is what a dataclass says of itself where nobody does
+
+
+def test_a_name_that_a_room_has_too_stays_the_function():
+    code = "import torchrefrac, torchrefrac.evaluate.consistency; torchrefrac.reconstruct; print(torchrefrac.evaluate)"
+
+    assert _loaded(code).startswith("<function evaluate")
 
 
 def test_an_unknown_name_is_an_attribute_error():

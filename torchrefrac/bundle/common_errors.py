@@ -43,7 +43,9 @@ TOLERANCE = 0.1
 
 @dataclass(frozen=True)
 class CommonErrors:
-    """reduced, points: draws of the changes of the unknowns, whose mean square is the covariance that is added.
+    """What errors that observations have in common do to an adjustment.
+
+    reduced, points: draws of the changes of the unknowns, whose mean square is the covariance that is added.
 
     still_slope, moving_slope: root mean square slope (length of the gradient, radians) of a surface that is the same
     for all images, and of one that differs from image to image. lens: error of a coordinate that images of a camera

@@ -81,8 +81,9 @@ class Determination:
 def determinations(problem: BundleProblem, scene: Scene, pixel_sigma: float) -> list[Determination]:
     """How well index ratio, plane, scale and what is refined of the intrinsics are determined at `scene`.
 
-    Asked of the adjustment in which all of them vary, whether or not they do in `problem`. Plane and heights are
-    relative to the cameras. Raises SingularError where not even the cameras are determined.
+    pixel_sigma: noise of a keypoint, pixels. Asked of the adjustment in which all of them vary, whether or not they do
+    in `problem`. Plane and heights are relative to the cameras. Raises SingularError where not even the cameras are
+    determined.
     """
     water = water_unknowns(scene.interfaces)
     layout = replace(problem.layout, water=water)

@@ -22,7 +22,9 @@ Unknown = Literal[
 
 @dataclass(frozen=True)
 class BundleOptions:
-    """loss of loss_scale pixels. pixel_sigma: expected noise of a keypoint, pixels; weighs it against what else was
+    """How a bundle adjustment is done.
+
+    loss: of loss_scale pixels. pixel_sigma: expected noise of a keypoint, pixels; weighs it against what else was
     measured.
 
     refine: what varies besides poses and points: of the intrinsics focal (both focal lengths by the same factor),
@@ -31,6 +33,8 @@ class BundleOptions:
     expected: what is known of them beforehand. refine_unseen: vary even what the data do not determine.
     jacobian: exact, or with the refrax ratio frozen as in the paper. reduced_solver: see `optim.Linearized`. compiled:
     hand the derivatives to torch.compile, which takes a minute once and a C++ compiler.
+
+    Raises ValueError for values that cannot be right, and where refine names radial and distortion.
     """
 
     loss: LossName = "huber"

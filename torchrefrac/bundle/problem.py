@@ -38,7 +38,10 @@ class BundleProblem:
     def create(
         cls, scene: Scene, layout: Layout, options: BundleOptions, terms: Sequence[Term] = ()
     ) -> "BundleProblem":
-        """The problem of adjusting `scene`. The layout says what varies, the terms what was measured besides pixels."""
+        """The problem of adjusting `scene`. The layout says what varies, the terms what was measured besides pixels.
+
+        Raises ValueError where a view sees a point twice.
+        """
         seen = scene.observations
         if layout.reduced is None:
             seen_reduced, point = seen[:0], seen.point
@@ -57,6 +60,7 @@ class BundleProblem:
 
     @property
     def rows_of(self) -> RowModel:
+        """What the rows of the Jacobian depend on besides the scene."""
         options, frozen = self.options, self.options.jacobian == "frozen_ratio"
         varying = self.layout.intrinsics, self.layout.water
         return RowModel(*varying, options.loss, options.loss_scale, frozen, self.layout.moves_with_camera)
@@ -123,6 +127,7 @@ class BundleProblem:
         return layout.size + poses - sum(int(fixed.sum()) for fixed in layout.fixed_intrinsics.values())
 
     def retract(self, state: Scene, step: Step) -> Scene:
+        """The scene after a step."""
         return self.layout.retract(state, step)
 
     def _rows(

@@ -20,7 +20,8 @@ def wished_changes(
 ) -> dict[str, tuple[float, float]]:
     """One Gauss-Newton step of `name` (the index ratio, the thickness of the layer before the water, or the logarithm
     of the focal length) from the minimum `scene` of `problem`, in which it does not vary, everything else following;
-    and its standard deviation. Keys: `name`, or where there are several cameras `name` and which (see `Cameras.label`).
+    and its standard deviation. pixel_sigma: noise of a keypoint, pixels. Keys: `name`, or where there are several
+    cameras `name` and which (see `Cameras.label`).
 
     Empty where it varies already, or nothing determines it. Near the minimum the step is where an adjustment with it
     would end (Rao's score test, 1948); far off it still has the right sign.

@@ -30,9 +30,11 @@ class Residuals(NamedTuple):
 
 
 class Term(Protocol):
-    """One kind of measurement."""
+    """One kind of measurement. Lengths are in the unit of the scene."""
 
-    def residuals(self, scene: Scene, layout: Layout) -> Residuals: ...
+    def residuals(self, scene: Scene, layout: Layout) -> Residuals:
+        """How far the scene is from what was measured."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class GravityPrior:
     up: Float[Tensor, "3"] | None = None
 
     def residuals(self, scene: Scene, layout: Layout) -> Residuals:
-        """-R up - down; the derivative in a left perturbation is -[-R up]x."""
+        """Errors -R up - down; the derivative in a left perturbation is -[-R up]x."""
         rotation = scene.views.rotation
         view = torch.arange(len(rotation), device=rotation.device) if self.view is None else self.view
         predicted = -rotation[view][:, :, 2] if self.up is None else -rotate(rotation[view], self.up.to(rotation))
@@ -57,7 +59,8 @@ class GravityPrior:
 
 @dataclass(frozen=True)
 class CenterPrior:
-    """Positions of the centres of `view`, as from GNSS; information is the inverse covariance."""
+    """Positions of the centres of `view`, as from GNSS, in the unit of the scene; information is the inverse
+    covariance."""
 
     view: Int[Tensor, " k"]
     position: Float[Tensor, "k 3"]
@@ -70,7 +73,8 @@ class CenterPrior:
 
 @dataclass(frozen=True)
 class HeightPrior:
-    """Heights of the centres of `view` above their interfaces, with standard deviations sigma."""
+    """Heights of the centres of `view` above their interfaces, with standard deviations sigma, in the unit of the
+    scene."""
 
     view: Int[Tensor, " k"]
     height: Float[Tensor, " k"]
@@ -85,7 +89,8 @@ class HeightPrior:
 
 @dataclass(frozen=True)
 class KnownPoints:
-    """Known coordinates of `point`, as of ground control; information is the inverse covariance."""
+    """Known coordinates of `point`, as of ground control, in the unit of the scene; information is the inverse
+    covariance."""
 
     point: Int[Tensor, " k"]
     position: Float[Tensor, "k 3"]
@@ -98,7 +103,8 @@ class KnownPoints:
 
 @dataclass(frozen=True)
 class ScaleBars:
-    """Measured distances `length` between points first and second, with standard deviations sigma."""
+    """Measured distances `length` between points first and second, with standard deviations sigma, in the unit of the
+    scene."""
 
     first: Int[Tensor, " k"]
     second: Int[Tensor, " k"]
@@ -115,7 +121,7 @@ class ScaleBars:
 
 @dataclass(frozen=True)
 class Waterline:
-    """Points that lie on the interfaces `interface`, with standard deviations sigma."""
+    """Points that lie on the interfaces `interface`, with standard deviations sigma in the unit of the scene."""
 
     point: Int[Tensor, " k"]
     interface: Int[Tensor, " k"]
@@ -129,7 +135,8 @@ class Waterline:
 
 @dataclass(frozen=True)
 class WaterLevels:
-    """Places that lie on the interfaces `interface`, as by a gauge, with standard deviations sigma."""
+    """Places that lie on the interfaces `interface`, as by a gauge, with standard deviations sigma in the unit of the
+    scene."""
 
     interface: Int[Tensor, " k"]
     position: Float[Tensor, "k 3"]
@@ -142,7 +149,8 @@ class WaterLevels:
 
 @dataclass(frozen=True)
 class WaterSlope:
-    """Interfaces that rise along horizontal unit vectors `along` by nothing, with standard deviations sigma."""
+    """Interfaces that rise along horizontal unit vectors `along` by nothing, with standard deviations sigma, length
+    over length."""
 
     along: Float[Tensor, "k 3"]
     sigma: Float[Tensor, " k"]

@@ -23,7 +23,9 @@ MOST_TAKEN = 0.99
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """pixel_sigma: the standard deviation of a keypoint's coordinate, pixels, of the typical point; effective_sigma:
+    """How well what came out of an adjustment is known; lengths in the unit of the scene.
+
+    pixel_sigma: the standard deviation of a keypoint's coordinate, pixels, of the typical point; effective_sigma:
     that of independent ones that would know as little of cameras and water.
 
     pose: covariances of (w, dc), R <- exp([w]x) R, radians, and of the centre. points: covariances, with all that

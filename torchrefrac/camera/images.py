@@ -21,9 +21,9 @@ def remove_refraction(
     of the result, in the unit of the scene, above 0. target: a camera without an interface, by default
     `camera.as_pinhole()`; give it intrinsics without distortion to undistort in the same step.
 
-    Returns the image by bilinear interpolation, and a mask of the pixels that `camera`
-    sees; elsewhere the result is 0. Exact where the scene lies at `depth`; a point at another depth is moved.
-    Differentiable in the image, the depth and the camera.
+    Returns the image by bilinear interpolation, and a mask of the pixels that `camera` sees; elsewhere the result is 0.
+    Exact where the scene lies at `depth`; a point at another depth is moved. Differentiable in the image, the depth and
+    the camera. Raises ValueError for a batch of cameras, and for an image or a depth of another size.
     """
     require_ending(image, "image", (camera.intrinsics.height, camera.intrinsics.width))
     if image.dim() != 3:

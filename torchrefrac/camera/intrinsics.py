@@ -92,7 +92,10 @@ class Intrinsics:
         return undistort((pixels - self.principal_point) / self.focal, self.distortion, self.fisheye)
 
     def pixel_grid(self, height: int | None = None, width: int | None = None) -> Float[Tensor, "rows columns 2"]:
-        """Centres of pixels of equal size that cover the image; by default its own pixels."""
+        """Centres of pixels of equal size that cover the image; by default its own pixels.
+
+        Raises ValueError for less than one row or column.
+        """
         rows = self.height if height is None else height
         columns = self.width if width is None else width
         if min(rows, columns) < 1:

@@ -42,7 +42,7 @@ def from_kornia(pinhole: "PinholeCamera", interface: FlatInterface | None = None
 
 
 def to_kornia(camera: RefractiveCamera) -> "PinholeCamera":
-    """kornia's pinhole with the pose and intrinsics of `camera`; its interface is left behind.
+    """A pinhole of kornia with the pose and intrinsics of `camera`; its interface is left behind.
 
     The batch of any shape becomes one dimension (B), a single camera B = 1. Raises ValueError for distortion, which
     kornia's camera does not have.

@@ -33,9 +33,10 @@ Pixels = Real[Tensor, "*#batch 2"]
 class RefractiveCamera:
     """A batch of cameras that look at points beyond `interface`, or on their own side of it.
 
-    cam_from_world_rotation: camera x right, y down, z forward; center_in_world: world z up. A `FlatInterface` is by
-    default a water surface at z = 0. The batch broadcasts against the leading dimensions of what is projected: give
-    points (N, 3) to one camera, or index a batch of M cameras as `camera[:, None]` for an (M, N) grid.
+    cam_from_world_rotation: camera x right, y down, z forward; center_in_world: world z up, in the length unit of the
+    interface and the points. A `FlatInterface` is by default a water surface at z = 0. The batch broadcasts against the
+    leading dimensions of what is projected: give points (N, 3) to one camera, or index a batch of M cameras as
+    `camera[:, None]` for an (M, N) grid.
 
     The intrinsics take the dtype of the pose. Raises ValueError for shapes that do not fit, values that are not finite,
     a rotation that is none (to three digits), and a camera that does not stand on its side of the interface.
@@ -138,7 +139,7 @@ class RefractiveCamera:
     def follow_rays(
         self, pixels: Pixels
     ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-        """`cast_rays` with both parts of each ray: origins, unit directions before and after, mask."""
+        """`cast_rays` with both parts of each ray: origins, unit directions before and after, mask; pixels as there."""
         pixels = self._checked(pixels, "pixels", 2)
         in_cam = self._directions_in_cam(pixels)
         world_from_cam = self.cam_from_world_rotation.mT
@@ -163,7 +164,7 @@ class RefractiveCamera:
         return self[..., None, None].cast_rays(self.intrinsics.pixel_grid(height, width))
 
     def view_directions(self, pixels: Pixels) -> Float[Tensor, "*batch 3"]:
-        """Unit viewing directions in the camera's medium, in the world frame."""
+        """Unit viewing directions of pixels in the camera's medium, in the world frame."""
         pixels = self._checked(pixels, "pixels", 2)
         return rotate(self.cam_from_world_rotation.mT, self._directions_in_cam(pixels))
 

@@ -93,6 +93,8 @@ class ImportOptions(BoardOptions):
     photographs are looked at, and useless ones left out. board and what goes with it: what lies in the scene and gives
     its scale, if anything; family and tag: of tags, with the side of their black square; board_sigma: of lengths on it,
     relative. quiet: only errors are said.
+
+    Raises OptionError for values that cannot be right, contradict each other, or lack a unit.
     """
 
     photos: str | tuple[str, ...]

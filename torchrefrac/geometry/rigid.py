@@ -13,6 +13,7 @@ from torchrefrac.geometry.rotation import rotate
 @dataclass(frozen=True, eq=False)
 class Rigid:
     """`b_from_a`: x_in_b = rotation @ (x_in_a - center). For a camera, `cam_from_world`: center is where it stands.
+    Lengths are in one unit, whichever.
 
     Motions compose where names touch: `c_from_a = c_from_b @ b_from_a`.
     """

@@ -58,7 +58,15 @@ class RefractiveRays(Dataset[Rays]):
     Rays are cast as they are asked for, through what the run has found; colours come from a file that is mapped into
     memory (see `PixelTable`), so that photographs of any number can be learnt from, by several workers at a time.
     names, cameras: of the photographs of this split. dataset[5] is one ray, dataset[tensor] one for each number in it;
-    `image` has those of a whole photograph, `loader` those of all in a random order.
+    `image` has those of a whole photograph, `loader` those of all in a random order. Lengths are in the unit of the
+    run.
+
+    run: folder of a run. split: "test" are the photographs that `holdout` names, or every so many-th in order of names,
+    from the first on; "train" the others. smaller: whole number by which width and height are divided. capture: folder
+    of the photographs, by default where the run says. cache: see `PixelTable`.
+
+    Raises OptionError, SceneError or CaptureError where the run or its photographs are not there or do not belong
+    together, and ValueError for a split without photographs.
     """
 
     def __init__(
@@ -72,13 +80,6 @@ class RefractiveRays(Dataset[Rays]):
         cache: str | Path | None = None,
         dtype: torch.dtype = torch.float32,
     ) -> None:
-        """run: folder of a run. split: "test" are the photographs that `holdout` names, or every so many-th in order of
-        names, from the first on; "train" the others. smaller: whole number by which width and height are divided.
-        capture: folder of the photographs, by default where the run says. cache: see `PixelTable`.
-
-        Raises OptionError, SceneError or CaptureError where the run or its photographs are not there or do not belong
-        together, and ValueError for a split without photographs.
-        """
         if split not in get_args(Split):
             raise ValueError(f"split is {split!r}, but must be one of {', '.join(get_args(Split))}")
         require(smaller, "smaller", at_least=1, at_most=64)

@@ -24,7 +24,7 @@ def absolute_pose_2pt(
     *,
     layers: Layers | None = None,
 ) -> TwoPoses:
-    """Closed-form pose from 2 level rays and their world points.
+    """Closed-form pose from 2 level rays and their world points, lengths in one unit.
 
     layers: between the camera's medium and the water, from z = 0 down; a point among them counts as if it lay in water.
     Returns heading in radians, center and valid: up to two solutions of alpha C + beta S + gamma = 0 with
@@ -74,7 +74,7 @@ def absolute_pose_lsqi(
     *,
     layers: Layers | None = None,
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch 3"], Bool[Tensor, "*batch"]]:
-    """Least-squares pose from n >= 3 level rays and world points.
+    """Least-squares pose from n >= 3 level rays and world points, lengths in one unit.
 
     weights: zero for a point that does not count; layers: as for `absolute_pose_2pt`. The translation leaves by QR;
     what remains is a linear least-squares problem on the unit circle (LSQI). Returns heading, center, valid: both are

@@ -30,7 +30,7 @@ def relative_pose_3pt(
     *,
     layers: Layers | None = None,
 ) -> Centers:
-    """Centre of the second camera from 3 pairs of level rays and its heading relative to the first.
+    """Centre of the second camera from 3 pairs of level rays and its heading (radians) relative to the first.
 
     The first camera stands at (0, 0, height); layers: between the cameras' medium and the water, in its unit. Returns
     center and valid: the centre is determined and above the water, all rays go down and all three points lie in the
@@ -82,11 +82,12 @@ def absolute_pose_known_heading(
     *,
     layers: Layers | None = None,
 ) -> Centers:
-    """Least-squares centre of a camera with a known heading from n >= 2 level rays and world points.
+    """Least-squares centre of a camera with a known heading (radians) from n >= 2 level rays and world points.
 
-    Points may lie in the water and on land. weights: zero for a point that does not count. layers: between the camera's
-    medium and the water, from z = 0 down; a point among them counts as if it lay in water. Returns center and valid:
-    the centre is determined and above the water. Which end of its ray a point lies on is not asked.
+    Lengths are in one unit. Points may lie in the water and on land. weights: zero for a point that does not count.
+    layers: between the camera's medium and the water, from z = 0 down; a point among them counts as if it lay in water.
+    Returns center and valid: the centre is determined and above the water. Which end of its ray a point lies on is not
+    asked.
     """
     require_rays("the solver", 2, index_ratio, weights, or_more=True, layers=layers, rays=rays, points=points)
     require_broadcasting(heading=like(heading, rays).shape, rays=rays.shape[:-2])

@@ -31,7 +31,7 @@ def relative_pose_7pt(
     *,
     layers: Layers | None = None,
 ) -> Poses:
-    """Pose of the second camera from 7 pairs of level rays; see `relative_pose_npt`.
+    """Pose of the second camera from 7 pairs of level rays, in the unit of `height`; see `relative_pose_npt`.
 
     Seven pairs are solved exactly, so that valid means besides: all rays go down, all seven points lie in the water.
     """

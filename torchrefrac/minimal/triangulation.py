@@ -17,6 +17,7 @@ def triangulate(
     origins and unit directions, as `RefractiveCamera.cast_rays` returns them (the rays lie in the water, so that
     refraction needs no further thought); weights: zero for a ray that does not exist. Returns points and valid: False
     with fewer than two rays, or with parallel ones, where the point is the (weighted) mean of the origins.
+    Raises ValueError for shapes that differ.
     """
     if origins.shape != directions.shape or origins.shape[-1:] != (3,):
         raise ValueError(

@@ -26,13 +26,18 @@ Status = Literal["success", "too_few_data", "no_consensus", "degenerate"]
 
 
 class Estimator(Protocol):
-    """Models are rows of D numbers; data are numbered 0 ... num_data - 1. rows: some of the data; None: all."""
+    """Models are rows of D numbers; data are numbered 0 ... num_data - 1. rows: some of the data; None: all. Errors,
+    and max_error, are in a unit of its own: pixels for poses."""
 
     @property
-    def sample_size(self) -> int: ...
+    def sample_size(self) -> int:
+        """How many data a minimal sample has."""
+        ...
 
     @property
-    def num_data(self) -> int: ...
+    def num_data(self) -> int:
+        """How many data there are."""
+        ...
 
     @property
     def samples_per_hit(self) -> float:
@@ -127,11 +132,14 @@ RANGES = {
 
 @dataclass(frozen=True)
 class RansacOptions:
-    """max_error in the estimator's unit (pixels for poses); confidence that a good enough sample was drawn.
+    """How long is searched, and what agrees: max_error in the estimator's unit (pixels for poses); confidence that a
+    good enough sample was drawn.
 
     batch_size: samples of the first batch; each one after is twice as large, up to max_batch_size.
     screening_size: data that models are screened with, at screening_factor times max_error; leaders: models of a batch
     that are optimised on them.
+
+    Raises ValueError for values that cannot be right.
     """
 
     max_error: float = 4.0
@@ -167,6 +175,7 @@ class RansacReport:
 
     @property
     def num_inliers(self) -> int:
+        """How many data agree."""
         return int(self.inliers.sum())
 
 

@@ -35,7 +35,7 @@ class ReprojectionError(NamedTuple):
 @dataclass(frozen=True)
 class OneView(PoseData[ReprojectionError]):
     """Points in the world and their ideal image coordinates plane; cam_from_level from the measured vertical, focal in
-    pixels. Of one view or of many (see `PoseData`).
+    pixels. Of one view or of many (see `PoseData`). Lengths are in the unit of the points, the water is z = 0.
 
     gravity_sigma: expected error of the vertical in radians; 0 takes it for exact, infinity leaves the tilt free.
     pixel_sigma weighs pixels against it. known_heading: in radians, where it was measured too.

@@ -33,7 +33,7 @@ SETTLED = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class PointEstimate:
-    """What is known of points.
+    """What is known of points, lengths in the unit of the cameras.
 
     points: where not valid the start; covariance: zero where not valid, a robust loss counts by its weights; rms:
     reprojection error in pixels; angle: largest between any two of its rays in the medium of the point, radians;
@@ -65,7 +65,8 @@ def refine_points(
 ) -> PointEstimate:
     """Minimise the reprojection error of each of `points` in its observations, from where it is.
 
-    Observation i is of point[i], in any order, at pixels[i] by cameras[i], a batch of as many. pixel_sigma:
+    Points are in the unit of the cameras. Observation i is of point[i], in any order, at pixels[i] by cameras[i], a
+    batch of as many. pixel_sigma:
     noise of a pixel coordinate, for the covariance; loss_scale: of a Huber loss, pixels; tolerance: a point stays where
     its cost would fall by no more than this part of it, by default far below the noise. Single precision is raised to
     double inside; nothing here is differentiable.

@@ -29,7 +29,7 @@ def beside(limit: Limit, errors: Float[Tensor, "k n"]) -> Float[Tensor, "*k 1"]:
 def tilted_rotation(
     cam_from_level: Float[Tensor, "*#batch 3 3"], tilt: Float[Tensor, "*#batch 2"], heading: Float[Tensor, "*#batch"]
 ) -> Float[Tensor, "*batch 3 3"]:
-    """cam_from_world of tilts and headings."""
+    """Rotations cam_from_world of tilts and headings, radians."""
     return cam_from_level @ (_exp(tilt) @ heading_rotation(heading))
 
 

@@ -111,7 +111,7 @@ class Capture:
 
     @property
     def index_ratio(self) -> float:
-        """n_water / n_air of the one interface. Raises CaptureError where there are several."""
+        """Index ratio n_water / n_air of the one interface. Raises CaptureError where there are several."""
         if len(self.interfaces) != 1:
             raise CaptureError(f"{self.folder} has {len(self.interfaces)} interfaces, but only one can be used here")
         return float(self.interfaces.index_ratio[0])

@@ -56,6 +56,7 @@ class DenseCloud:
 
     @classmethod
     def empty(cls, length_unit: str) -> "DenseCloud":
+        """Without a point."""
         vectors, numbers = torch.zeros(0, 3, dtype=torch.float64), torch.zeros(0, dtype=torch.float64)
         counts = torch.zeros(0, dtype=torch.long)
         return cls(vectors, vectors, vectors.to(torch.uint8), numbers, numbers, counts, counts, numbers, length_unit)

@@ -280,7 +280,7 @@ class Scene:
 
     @property
     def index_ratio(self) -> float:
-        """n_water / n_air of all interfaces. Raises SceneError where they differ."""
+        """Index ratio n_water / n_air of all interfaces. Raises SceneError where they differ."""
         ratio = self.interfaces.index_ratio
         if bool((ratio != ratio[0]).any()):
             raise SceneError(f"the interfaces have index ratios {ratio.tolist()}, but only one can be used here")

@@ -165,7 +165,8 @@ def _padded(distortion: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch 8"]:
 class Views:
     """A table of photographs by their names.
 
-    pose: `cam_from_world`, meaningless where not registered. camera and interface: rows of the scene's tables.
+    pose: `cam_from_world`, meaningless where not registered, lengths in the unit of the scene. camera and interface:
+    rows of the scene's tables.
     """
 
     names: tuple[str, ...]
@@ -202,14 +203,17 @@ class Views:
 
     @property
     def rotation(self) -> Float[Tensor, "m 3 3"]:
+        """Rotations cam_from_world."""
         return self.pose.rotation
 
     @property
     def center(self) -> Float[Tensor, "m 3"]:
+        """Where the cameras stand in the world."""
         return self.pose.center
 
     @property
     def num_registered(self) -> int:
+        """How many poses are known."""
         return int(self.registered.sum())
 
     def at(
@@ -253,7 +257,7 @@ class Observations:
 
     @property
     def weights(self) -> Float[Tensor, " k"]:
-        """weight, or ones."""
+        """The weight of each observation: 1 by default."""
         return torch.ones_like(self.pixels[:, 0]) if self.weight is None else self.weight
 
     @property

@@ -14,14 +14,13 @@ from torchrefrac.scene.interfaces import Interfaces
 
 @dataclass(frozen=True)
 class Truth:
-    """True cameras by the names of their photographs; planes as rectangles.
+    """True cameras by the names of their photographs; planes as rectangles. Lengths are in length_unit.
 
-    rotation: cam_from_world. A plane is corner + s edge1 + t edge2 with s and t from 0 to 1. The water surface, where
-    there is one, or the wall, is z = 0; interfaces has the one that all look through, None where it is not known;
-    intrinsics are those of all photographs or, as a batch, of each,
-    None where they are not known. surface: all that cameras see, the planes among it, as triangles; None: there are
-    only the planes. water_extent: corners of the water as seen from above; None: it is everywhere. folder: where it was
-    read from.
+    rotation: cam_from_world; center: where each stands. A plane is corner + s edge1 + t edge2 with s and t from 0 to 1.
+    The water surface, where there is one, or the wall, is z = 0; interfaces has the one that all look through, None
+    where it is not known; intrinsics are those of all photographs or, as a batch, of each, None where they are not
+    known. surface: all that cameras see, the planes among it, as triangles; None: there are only the planes.
+    water_extent: corners of the water as seen from above; None: it is everywhere. folder: where it was read from.
     """
 
     names: tuple[str, ...]
@@ -39,7 +38,7 @@ class Truth:
 
     @property
     def index_ratio(self) -> float | None:
-        """n_water / n_air; None where it is not known."""
+        """Index ratio n_water / n_air; None where it is not known."""
         return None if self.interfaces is None else float(self.interfaces.index_ratio[0])
 
     @property

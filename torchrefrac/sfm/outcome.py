@@ -47,8 +47,11 @@ class Adjustment(Enum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """kind: how the step ended, its numbers the ones in its sentence. views: those that were lost. report: of an
-    adjustment. survey: what of a survey was used."""
+    """How a step ended, and with what.
+
+    kind: how it ended, its numbers the ones in its sentence. views: those that were lost. report: of an
+    adjustment. survey: what of a survey was used.
+    """
 
     kind: Enum
     numbers: Mapping[str, float] = field(default_factory=dict)

@@ -32,7 +32,7 @@ class Resection(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """cam_from_world, and which data agree."""
+    """Rotation cam_from_world and centre, in the unit of the points, and which data agree."""
 
     rotation: Float[Tensor, "3 3"]
     center: Float[Tensor, "3"]
@@ -41,9 +41,9 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class PairPose:
-    """Two cameras in a frame of their own, which matches agree, and the median angle (radians) between their rays.
-    Without a pose where the inliers agree on one but do not determine it. straight: other matches that agree if nothing
-    is bent, below the water's level; None: nobody looked."""
+    """Two cameras in a frame and a unit of their own, which matches agree, and the median angle (radians) between their
+    rays. Without a pose where the inliers agree on one but do not determine it. straight: other matches that agree if
+    nothing is bent, below the water's level; None: nobody looked."""
 
     rotation: Float[Tensor, "2 3 3"] | None
     center: Float[Tensor, "2 3"] | None
@@ -57,7 +57,7 @@ class PoseInitializer(Protocol):
 
     @property
     def index_ratio(self) -> float:
-        """n_water / n_air; 1 where the initialiser knows no refraction."""
+        """Index ratio n_water / n_air; 1 where the initialiser knows no refraction."""
         ...
 
     def relative(self, images: tuple[int, int], pixels: Pixels, generator: torch.Generator) -> PairPose | None:
@@ -79,7 +79,8 @@ class PoseInitializer(Protocol):
         points: Float[Tensor, "k 3"],
         generator: torch.Generator,
     ) -> Pose | None:
-        """Pose of an image, whose camera has these intrinsics, that sees known points at these pixels."""
+        """Pose of an image, whose camera has these intrinsics, that sees known points at these pixels, in their
+        unit."""
         ...
 
     def absolute_each(self, images: Sequence[Resection], generators: Sequence[torch.Generator]) -> list[Pose | None]:

@@ -54,7 +54,7 @@ def _usable(scene: Scene) -> Bool[Tensor, " n"]:
 def register(scene: Scene, view: int, rules: Rules) -> tuple[Scene, Outcome]:
     """Register `view` by the points it sees; those that agree with its pose become its observations.
 
-    The scene is the one given where that fails.
+    The scene is the one given where that fails. Raises ValueError for rules that find no poses.
     """
     scene, outcomes = register_each(scene, [view], rules)
     return scene, outcomes[0]

@@ -138,8 +138,11 @@ class SfmOptions:
 
 @dataclass(frozen=True)
 class ReadjustOptions:
-    """max_error: of an accepted observation, pixels. rounds: of dropping observations and adjusting again. held:
-    "cameras" leaves the poses as they are. device: as of `Rules`."""
+    """How a whole scene is adjusted again.
+
+    max_error: of an accepted observation, pixels. rounds: of dropping observations and adjusting again. held:
+    "cameras" leaves the poses as they are. device: as of `Rules`.
+    """
 
     held: Literal["none", "cameras"] = "none"
     max_error: float = 4.0
