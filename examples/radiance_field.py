@@ -225,6 +225,8 @@ def judged(field: Field, held_out: tr.RefractiveRays, folder: Path, truth: tr.Tr
     )
     points = alignment.apply(flat.at(distances[:, None])[:, 0].double())
     true, seen = true_points(folder, truth, held_out.names[0], flat.pixel.double())
+    near, far = crossed(flat.refrax, flat.direction, field.low, field.low + field.size)
+    seen = seen & (far > near + 1e-5)  # the field knows nothing beside its box
     error = (points[:, 2] - true[:, 2]).where(seen, torch.nan)
     used = flat.mask
     psnr = -10.0 * float((colors - flat.color)[used].square().mean().log10())
