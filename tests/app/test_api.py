@@ -10,12 +10,12 @@ import torchrefrac
 from tests.files.metadata.made_photographs import write_photograph
 
 PUBLIC = {
-    "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "ExecutorOptions",
+    "BundleBatch", "BundleOptions", "Cameras", "Capture", "DenseCloud", "DenseOptions", "ExecutorOptions",
     "FlatInterface", "ImportOptions", "Interfaces",
     "Intrinsics", "LearnableCamera", "Observations", "Options", "Plane", "Rays", "ReadjustOptions", "RefractiveCamera",
     "RefractiveRays", "Rigid",
     "Scene", "SfmOptions", "Survey", "TorchrefracError", "Truth", "Views", "Work", "Workers", "adjust",
-    "adjust_differentiably", "bundle",
+    "adjust_differentiably", "adjust_each", "bundle",
     "densify", "embedded_scene", "evaluate", "from_kornia", "import_photographs", "load_cameras", "load_capture",
     "load_truth", "made_scene", "minimal", "patch_costs", "ransac", "read_scene", "read_survey", "reconstruct",
     "refinement", "remove_refraction", "sfm", "solve_refrax", "to_kornia", "triangulate_tracks",

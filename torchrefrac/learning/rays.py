@@ -115,7 +115,8 @@ class RefractiveRays(Dataset[Rays]):
         return self._rays(self.cameras[view], place, self._table[number], view)
 
     def with_cameras(self, cameras: RefractiveCamera) -> "RefractiveRays":
-        """The same photographs, seen by others of as many cameras (m), in the same order."""
+        """The same photographs, seen by others of as many cameras (m), in the same order. Raises ValueError for another
+        number."""
         if cameras.shape != self.cameras.shape:
             raise ValueError(
                 f"cameras have batch shape {tuple(cameras.shape)}, but must have {tuple(self.cameras.shape)}"

@@ -116,7 +116,9 @@ class Estimators(Protocol):
 
     def degeneracies(
         self, models: Float[Tensor, "k d"], owner: Int[Tensor, " k"], inliers: Bool[Tensor, "k n"]
-    ) -> list[str]: ...
+    ) -> list[str]:
+        """`Estimator.degeneracy` of each model."""
+        ...
 
 
 RANGES = {

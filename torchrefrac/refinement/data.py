@@ -124,7 +124,7 @@ class PoseData(ABC, Generic[E]):
 
     @abstractmethod
     def refine(self, models: Models, max_error: Limit, max_iterations: int, tolerance: float = 1e-6) -> SmallReport:
-        """Minimise the truncated cost from models; data beyond max_error do not count."""
+        """Minimise the truncated cost from models; data beyond max_error, pixels, do not count."""
 
     @cached_property
     def priors(self) -> Priors:

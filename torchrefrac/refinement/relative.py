@@ -39,7 +39,8 @@ Models = Float[Tensor, "h 8"]
 @dataclass(frozen=True)
 class TwoViews(PoseData[EpipolarError]):
     """Matches of two cameras: ideal image coordinates plane1, plane2, cam_from_level from the measured verticals, focal
-    in pixels, of both or of each, and the height of the first camera. Of one pair or of many (see `PoseData`).
+    in pixels, of both or of each, and the height of the first camera, in the unit of the pose. Of one pair or of many
+    (see `PoseData`).
 
     gravity_sigma: expected error of a vertical in radians; 0 takes them for exact, infinity leaves the tilts free.
     pixel_sigma weighs pixels against it. known_heading: in radians, where it was measured too.

@@ -61,7 +61,10 @@ def register(scene: Scene, view: int, rules: Rules) -> tuple[Scene, Outcome]:
 
 
 def register_each(scene: Scene, views: Sequence[int], rules: Rules) -> tuple[Scene, list[Outcome]]:
-    """`register` of some views at once, each by itself from the same points."""
+    """`register` of some views at once, each by itself from the same points.
+
+    Raises ValueError for rules that find no poses.
+    """
     if rules.poses is None:
         raise ValueError("rules.poses is None, but must find poses")
     rows = dict(zip(views, _usable_rows(scene, views), strict=True))
