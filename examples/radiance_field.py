@@ -9,7 +9,8 @@ the second. The table has the colours' peak signal-to-noise ratio in the predict
 the points that its pixels see are from the true ones in height; the picture shows both.
 
 The field is K-planes' product of three feature planes (Fridovich-Keil et al., CVPR 2023) at two resolutions, with a
-small network behind; samples along rays are drawn where the field has become dense.
+small network behind; samples along rays are drawn where the field has become dense. Rays of keypoints are to end at the
+points that the run has found (Deng et al., CVPR 2022).
 """
 
 import argparse
@@ -28,7 +29,7 @@ import torchrefrac as tr
 from torchrefrac.files.library import embedded_scene
 
 SMALLER = 2  # photographs of 320 x 240 pixels
-RAYS, COARSE, FINE = 2048, 48, 24
+RAYS, KEYPOINTS, COARSE, FINE = 2048, 512, 48, 24
 RESOLUTIONS, FEATURES, HIDDEN = (64, 256), 12, 32
 GRID = 64  # cells along each axis of the copy of the density that samples are drawn by
 
@@ -80,7 +81,7 @@ def learnt(folder: Path, run: Path, poses: Path | None, steps: int, name: str) -
     low, high = scene.points.quantile(0.005, dim=0).float(), scene.points.quantile(0.995, dim=0).float()
     margin = 0.1 * (high - low)
     field = Field(low - margin, high + margin)
-    train(field, data, steps, name)
+    train(field, data, Keypoints.of(scene, data), steps, name)
     return judged(field, held_out, folder, truth, alignment)
 
 
@@ -98,6 +99,32 @@ def moved(rays: tr.RefractiveRays, run: Path, folder: Path, alignment) -> tr.Ref
         camera.interface,
     )
     return rays.with_cameras(placed)
+
+
+class Keypoints(NamedTuple):
+    """Rays of what the run has found of its points, and how far behind the refrax these are."""
+
+    rays: tr.Rays
+    distance: Tensor
+
+    @classmethod
+    def of(cls, scene: tr.Scene, data: tr.RefractiveRays) -> "Keypoints":
+        seen = scene.observations[scene.accepted]
+        row = torch.tensor([data.names.index(name) if name in data.names else -1 for name in scene.views.names])
+        seen = seen[row[seen.view] >= 0]
+        view, points = row[seen.view], scene.points[seen.point]
+        camera = data.cameras[view]
+        refrax, _, direction, bent = camera.follow_rays(seen.pixels)
+        distance = ((points - refrax) * direction).sum(dim=-1).float()
+        none = torch.zeros(len(view), 3)
+        rays = tr.Rays(
+            camera.center_in_world.float(), refrax.float(), direction.float(), none, bent, view, seen.pixels.float()
+        )
+        return cls(rays, distance)
+
+    def some(self, count: int) -> tuple[tr.Rays, Tensor]:
+        rows = torch.randint(len(self.distance), (count,))
+        return tr.Rays(*(part[rows] for part in self.rays)), self.distance[rows]
 
 
 class Field(nn.Module):
@@ -179,7 +206,7 @@ def rendered(field: Field, rays: tr.Rays, jitter: bool) -> tuple[Tensor, Tensor]
     return (weight[..., None] * color).sum(dim=1) + rest, (weight * distance).sum(dim=1) / whole
 
 
-def train(field: Field, data: tr.RefractiveRays, steps: int, name: str) -> None:
+def train(field: Field, data: tr.RefractiveRays, keypoints: Keypoints, steps: int, name: str) -> None:
     optimizer = torch.optim.Adam(
         [{"params": list(field.planes), "lr": 0.03}, {"params": list(field.network.parameters()), "lr": 0.005}]
     )
@@ -196,8 +223,10 @@ def train(field: Field, data: tr.RefractiveRays, steps: int, name: str) -> None:
             field.look_at_density()
         color, _ = rendered(field, rays, jitter=True)
         loss = (color - rays.color)[rays.mask].square().mean()
+        known, distance = keypoints.some(KEYPOINTS)
+        near = (rendered(field, known, jitter=True)[1] - distance).abs().mean() / field.size.mean()
         optimizer.zero_grad()
-        (loss + 2e-4 * roughness(field)).backward()
+        (loss + 0.3 * near + 2e-4 * roughness(field)).backward()
         optimizer.step()
         schedule.step()
         if step % 10 == 0:

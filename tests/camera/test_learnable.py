@@ -1,18 +1,20 @@
 """A camera whose water and poses are learnt: what moves, by which derivatives, and where it ends."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
-from tests.camera.camera_scenes import COUNT, INTERFACES, for_every_interface, scene
+from tests.camera.camera_scenes import COUNT, for_every_interface, scene
 from tests.tolerances import EXACT, assert_matches, assert_same_pixels
-from torchrefrac.camera import LearnableCamera, RefractiveCamera
+from torchrefrac.camera import Intrinsics, LearnableCamera, RefractiveCamera
 from torchrefrac.camera.learnable import LEARNABLE
 from torchrefrac.geometry import Plane
 from torchrefrac.refraction import FlatInterface
 
-WITHOUT_INDEX = tuple(name for name in LEARNABLE if name != "index_ratio")
+OF_LAYERS = ("layer_index", "layer_thickness")
+OF_TWO_MEDIA = tuple(name for name in LEARNABLE if name not in OF_LAYERS)
 
 
 @for_every_interface
@@ -20,7 +22,7 @@ WITHOUT_INDEX = tuple(name for name in LEARNABLE if name != "index_ratio")
 def test_untrained_it_projects_as_the_camera_it_was_made_from(draw, lens, name, place):
     camera, points = scene(draw, lens, name, place)
 
-    pixels, valid = LearnableCamera(camera, learn=WITHOUT_INDEX)(points)
+    pixels, valid = LearnableCamera(camera, learn=_there(camera))(points)
 
     expected, expected_valid = camera.project(points)
     assert torch.equal(valid, expected_valid)
@@ -31,12 +33,12 @@ def test_what_it_learns_by_default_is_the_index_ratio_and_the_height(make_camera
     assert _trained(LearnableCamera(make_camera())) == {"index_ratio", "plane_height"}
 
 
-@pytest.mark.parametrize("learn", [(), *((name,) for name in LEARNABLE), ["rotation", "center"], LEARNABLE])
+@pytest.mark.parametrize("learn", [(), *((name,) for name in OF_TWO_MEDIA), ["rotation", "center"], OF_TWO_MEDIA])
 def test_only_what_is_to_be_learnt_requires_a_gradient(make_camera, learn):
     assert _trained(LearnableCamera(make_camera(3), learn)) == set(learn)
 
 
-@pytest.mark.parametrize("learn", [*((name,) for name in LEARNABLE), LEARNABLE])
+@pytest.mark.parametrize("learn", [*((name,) for name in OF_TWO_MEDIA), OF_TWO_MEDIA])
 def test_a_step_of_an_optimiser_moves_what_is_to_be_learnt_and_nothing_else(make_camera, points_seen, learn):
     camera = make_camera(COUNT)
     points, model = points_seen(camera, COUNT), LearnableCamera(camera, learn)
@@ -83,28 +85,20 @@ def test_an_index_ratio_driven_to_one_leaves_straight_rays(make_camera, points_s
     assert_same_pixels(model(points)[0], camera.as_pinhole().project(points)[0])
 
 
-@pytest.mark.parametrize("name", [name for name, interface in INTERFACES.items() if interface.layers is None])
-def test_the_gradient_of_every_parameter_is_right_in_front_of_two_media(draw, lens, name):
-    camera, points = scene(draw, lens, name, "ordinary")
-    learn = LEARNABLE if camera.interface.refracts().all() else WITHOUT_INDEX
-
-    assert _gradient_is_right(LearnableCamera(camera, learn), points, draw)
-
-
-@pytest.mark.parametrize("name", [name for name, interface in INTERFACES.items() if interface.layers is not None])
-def test_the_gradient_of_plane_and_poses_is_right_in_front_of_layers(draw, lens, name):
+@for_every_interface
+def test_the_gradient_of_every_parameter_is_right(draw, lens, name):
     camera, points = scene(draw, lens, name, "ordinary")
 
-    assert _gradient_is_right(LearnableCamera(camera, WITHOUT_INDEX), points, draw)
+    assert _gradient_is_right(LearnableCamera(camera, _there(camera)), points, draw)
 
 
 def test_a_gradient_reaches_every_parameter(make_camera, points_seen):
     camera = make_camera(COUNT)
-    points, model = points_seen(camera, COUNT), LearnableCamera(camera, LEARNABLE)
+    points, model = points_seen(camera, COUNT), LearnableCamera(camera, OF_TWO_MEDIA)
 
     model(points)[0].square().sum().backward()
 
-    assert all(bool((value.grad != 0.0).all()) for value in model.parameters())
+    assert all(bool((getattr(model, name).grad != 0.0).all()) for name in OF_TWO_MEDIA)
 
 
 def test_tilt_height_and_index_ratio_are_learnt_from_exact_pixels(make_camera, points_seen, lens):
@@ -148,7 +142,7 @@ def test_a_saved_state_restores_what_was_learnt(draw, make_camera, points_seen):
 def test_in_single_precision_it_is_the_same_camera(draw, lens, name):
     camera, points = scene(draw, lens, name, "ordinary")
 
-    model = LearnableCamera(camera, learn=WITHOUT_INDEX).to(torch.float32)
+    model = LearnableCamera(camera, learn=_there(camera)).to(torch.float32)
 
     pixels, _ = model(points.float())
     assert pixels.dtype == model.camera.center_in_world.dtype == torch.float32
@@ -157,7 +151,7 @@ def test_in_single_precision_it_is_the_same_camera(draw, lens, name):
 
 def test_learning_leaves_the_camera_it_started_from_as_it_was(make_camera, points_seen):
     camera = make_camera(COUNT)
-    model, points = LearnableCamera(camera, LEARNABLE), points_seen(camera, COUNT)
+    model, points = LearnableCamera(camera, OF_TWO_MEDIA), points_seen(camera, COUNT)
     before = camera.project(points)[0]
 
     _set(model, index_ratio=0.3, plane_height=0.2, center=torch.ones(COUNT, 3))
@@ -167,23 +161,89 @@ def test_learning_leaves_the_camera_it_started_from_as_it_was(make_camera, point
 
 
 def test_a_name_that_is_not_known_is_refused(make_camera):
-    with pytest.raises(ValueError, match="learn names depth, focal, but must be some of index_ratio, plane_tilt"):
-        LearnableCamera(make_camera(), learn=("focal", "index_ratio", "depth"))
+    with pytest.raises(ValueError, match="learn names depth, fov, but must be some of index_ratio, layer_index"):
+        LearnableCamera(make_camera(), learn=("fov", "index_ratio", "depth"))
 
 
-def test_the_index_ratio_of_layers_cannot_be_learnt(draw, lens):
-    camera, _ = scene(draw, lens, "glass wall", "ordinary")
+def test_the_parameters_of_the_lens_are_changes_of_its_numbers(draw, make_camera, points_seen):
+    camera = make_camera(COUNT)
+    model, points = LearnableCamera(camera), points_seen(camera, COUNT)
+    bend = 0.01 * draw.normal(5)
 
-    with pytest.raises(ValueError, match="interface has layers, but must be of two media"):
-        LearnableCamera(camera)
+    _set(model, focal=math.log(1.02), principal_point=torch.tensor([3.0, -2.0]), distortion=bend)
+
+    given = camera.intrinsics
+    other = Intrinsics.create(
+        given.width,
+        given.height,
+        (1.02 * given.focal).tolist(),
+        (given.principal_point + torch.tensor([3.0, -2.0])).tolist(),
+        (given.distortion + bend).tolist(),
+    )
+    expected = RefractiveCamera(other, camera.cam_from_world_rotation, camera.center_in_world, camera.interface)
+    assert_same_pixels(model(points)[0], expected.project(points)[0])
+
+
+def test_the_parameters_of_layers_are_those_of_glass(draw, lens):
+    camera, points = scene(draw, lens, "glass wall", "ordinary")
+    model = LearnableCamera(camera)
+
+    _set(model, index_ratio=0.1, layer_index=[0.05], layer_thickness=[-0.3])
+
+    (first, glass, water), (thickness,) = camera.interface.indices, camera.interface.thickness
+    changed = 1.0 + (glass - 1.0) * math.exp(0.05), first * (1.0 + (water / first - 1.0) * math.exp(0.1))
+    other = FlatInterface(
+        layers=(first, *changed), thickness=(thickness * math.exp(-0.3),), plane=camera.interface.plane,
+        moves_with_camera=camera.interface.moves_with_camera,
+    )  # fmt: skip
+    expected = RefractiveCamera(camera.intrinsics, camera.cam_from_world_rotation, camera.center_in_world, other)
+    assert_same_pixels(model(points)[0], expected.project(points)[0])
+
+
+def test_a_focal_length_and_glass_are_learnt_from_exact_pixels(draw, lens):
+    camera, points = scene(draw, lens, "glass wall", "ordinary")
+    names = ("focal", "layer_thickness", "principal_point")
+    truth, model = LearnableCamera(camera), LearnableCamera(camera, names)
+    _set(truth, focal=0.01, layer_thickness=[0.2], principal_point=torch.tensor([2.0, 1.0]))
+    pixels = truth(points)[0].detach()
+
+    _minimize(model, lambda: ((model(points)[0] - pixels) / 1000.0).square().sum())
+
+    for name in ("focal", "layer_thickness"):
+        torch.testing.assert_close(getattr(model, name), getattr(truth, name), rtol=0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", OF_LAYERS)
+def test_layers_that_are_not_there_cannot_be_learnt(make_camera, name):
+    with pytest.raises(ValueError, match="interface has no layer between its first medium and its last"):
+        LearnableCamera(make_camera(), learn=(name,))
+
+
+def test_distortion_that_is_not_there_cannot_be_learnt(make_camera):
+    camera = make_camera()
+    plain = replace(camera, intrinsics=Intrinsics.create(640, 480, 500.0, distortion=()))
+    without = replace(plain, intrinsics=replace(plain.intrinsics, distortion=torch.zeros(0).double()))
+
+    with pytest.raises(ValueError, match="intrinsics have no coefficients of distortion"):
+        LearnableCamera(without, learn=("distortion",))
 
 
 @pytest.mark.parametrize("index_ratio", [1.0, torch.tensor([1.3, 1.0])])
 def test_an_index_ratio_of_one_cannot_be_learnt(make_camera, index_ratio):
     camera = make_camera(2, index_ratio=index_ratio)
 
-    with pytest.raises(ValueError, match="index_ratio is 1, but must be above 1 to be learnt"):
+    with pytest.raises(ValueError, match="index_ratio is 1 or less, but must be above 1 to be learnt"):
         LearnableCamera(camera)
+
+
+def _there(camera):
+    """What there is to learn of a camera."""
+    missing = set() if camera.interface.thickness else set(OF_LAYERS)
+    if not bool((torch.as_tensor(camera.interface.index_ratio) > 1.0).all()):
+        missing.add("index_ratio")
+    if not all(bool((torch.as_tensor(index) > 1.0).all()) for index in camera.interface.indices[1:-1]):
+        missing.add("layer_index")
+    return tuple(name for name in LEARNABLE if name not in missing)
 
 
 def _trained(model):
