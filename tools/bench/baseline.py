@@ -73,6 +73,7 @@ def _benches(data: Path, ceres: Path | None) -> dict[str, list[str]]:
         "correct": [],
         "tracks": [],
         "matching": [],
+        "many": [],
         "pairs": [],
         "verification": [],
         "scale": ["--views", "50,100"],

@@ -28,7 +28,6 @@ from torchrefrac.bundle.rows import IMPOSSIBLE_PX
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.geometry import skew, so3_exp
 from torchrefrac.optim import LossName, minimize_each, robust
-from torchrefrac.optim.loss import BENDING, turned
 
 MAX_DAMPING = 1e8
 NULL = 1e-11
@@ -161,12 +160,11 @@ class _Forces(NamedTuple):
 
 class _Seen(NamedTuple):
     """Every point in every view: derivatives of its pixel in the pose and in the point, what its error is weighed by,
-    zero where it is not seen or cannot be, what the loss alone weighs it by, and half its loss."""
+    zero where it is not seen or cannot be, and half its loss."""
 
     by: Float[Tensor, "b m n 2 9"]
     error: Float[Tensor, "b m n 2"]
     weight: Float[Tensor, "b m n"]
-    bending: Float[Tensor, "b m n"]
     cost: Float[Tensor, "b m n"]
 
     @classmethod
@@ -188,22 +186,7 @@ class _Seen(NamedTuple):
         impossible, _ = robust(square.new_tensor(IMPOSSIBLE_PX**2), rule.loss, rule.scale)
         given = problems.weights
         cost = 0.5 * given * torch.where(possible, rho, impossible)
-        return cls(by, error, torch.where(possible, given * weight, 0.0), weight, cost)
-
-    def turned(self, rule: _Rule) -> Float[Tensor, "b m n 2 9"]:
-        """Derivatives with Triggs' correction, in problems of which the loss bends for less than half of the
-        observations: these are near their minima."""
-        if rule.loss not in BENDING:
-            return self.by
-        seen = self.weight > 0.0
-        share = torch.where(seen, self.bending, torch.ones_like(self.bending))
-        bent = (seen & (share < 1.0)).sum(dim=(1, 2)) < 0.5 * seen.sum(dim=(1, 2))
-        bend, _ = turned(
-            (self.error[..., 0], self.error[..., 1]), share.clamp(min=torch.finfo(share.dtype).tiny), rule.loss
-        )
-        along = (self.error[..., None] * self.by).sum(dim=-2, keepdim=True)
-        bend = torch.where(bent[:, None, None], bend, 0.0)[..., None, None]
-        return self.by - bend * self.error[..., None] * along
+        return cls(by, error, torch.where(possible, given * weight, 0.0), cost)
 
     @property
     def force(self) -> Float[Tensor, "b m n 9"]:
@@ -267,8 +250,8 @@ class _Search(NamedTuple):
         """By Gauss and Newton."""
         state, rule, problems = self.state(states), self.rule, self.problems
         seen = _Seen.of(problems, state.rotation[:, :, None], state.center[:, :, None], state.points[:, None], rule)
-        force, by = seen.force, seen.turned(rule)
-        second = (by * seen.weight[..., None, None]).mT @ by
+        force = seen.force
+        second = (seen.by * seen.weight[..., None, None]).mT @ seen.by
         pull, of_gravity = _gravity(problems, state.rotation, rule)
         by_view = force[..., :6].sum(dim=2) + torch.nn.functional.pad(pull, (0, 3))
         views = second[..., :6, :6].sum(dim=2)
