@@ -36,14 +36,12 @@ def main() -> None:
         found = adjust_each(problems)
         middle = time.process_time()
         share = 100.0 * float(found.converged.double().mean())
+        share = 100.0 * float(found.converged.double().mean())
         (found.points.square().sum() + found.cameras.center_in_world.square().sum()).backward()
         end = time.process_time()
         best = [min(best[0], middle - start), min(best[1], end - middle)]
-    share = float(found.converged.double().mean())
-    print(
-        f"{options.problems} problems of {options.views} views and {options.points} points, {100 * share:.0f} % converged"
-    )
-    print(f"forward {best[0]:.2f} s, backward {best[1]:.2f} s of one processor")
+    size = f"{options.problems} problems of {options.views} views and {options.points} points"
+    print(f"{size}, {share:.0f} % converged: forward {best[0]:.2f} s, backward {best[1]:.2f} s of one processor")
     figure("forward and backward", sum(best), "s", "lower", 0.3)
 
 
