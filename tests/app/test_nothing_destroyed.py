@@ -1,5 +1,6 @@
 """Earlier results stay whole until there are new ones, whatever goes wrong; inputs, and what no run wrote, for good."""
 
+import multiprocessing
 import os
 import shutil
 import signal
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import time
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -306,6 +308,49 @@ def _in_child(folder, arguments, prepare):
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
+def _in_fresh_child(folder, arguments, prepare):
+    """The same in a new process, which takes longer: derivatives cannot be taken in a copy of a process that has taken
+    some on several devices."""
+    child = multiprocessing.get_context("spawn").Process(target=_command, args=(folder, arguments, prepare))
+    child.start()
+    child.join()
+    return child.exitcode
+
+
+def _command(folder, arguments, prepare):
+    with pytest.MonkeyPatch.context() as patch:
+        prepare(patch)
+        sys.exit(run_command(arguments, folder, patch))
+
+
+@dataclass(frozen=True)
+class _Killing:
+    """Kills the process of a command at a moment."""
+
+    command: str
+    moment: str
+
+    def __call__(self, patch):
+        if self.moment == "stage":
+            owner, name = {
+                "run": (pipeline.RunFolder, "stage_done"),
+                "adjust": (pipeline.RunFolder, "stage_done"),
+                "densify": (FolderStore, "save"),
+            }[self.command]
+            patch.setattr(owner, name, _killed(getattr(owner, name), 1))
+        elif self.moment == "rename":
+            patch.setattr(swap, "finish", lambda folder: None)  # nothing is moved
+            patch.setattr(Path, "rename", _killed(Path.rename, 1))
+        else:
+            finish = swap.finish
+
+            def broken_off(folder):
+                patch.setattr(swap.os, "replace", _killed(os.replace, 3))
+                finish(folder)
+
+            patch.setattr(swap, "finish", broken_off)
+
+
 @pytest.mark.parametrize(
     ("command", "moment"),
     [("run", "stage"), ("run", "rename"), ("run", "swap"), ("adjust", "stage"), ("adjust", "swap"),
@@ -320,27 +365,8 @@ def test_killed_the_old_or_the_new_results_are_there_whole(place, known_sparse, 
     shutil.copytree(place / "run", place / "old")
     before = _results(place / "run")
 
-    def prepare(patch):
-        if moment == "stage":
-            owner, name = {
-                "run": (pipeline.RunFolder, "stage_done"),
-                "adjust": (pipeline.RunFolder, "stage_done"),
-                "densify": (FolderStore, "save"),
-            }[command]
-            patch.setattr(owner, name, _killed(getattr(owner, name), 1))
-        elif moment == "rename":
-            patch.setattr(swap, "finish", lambda folder: None)  # nothing is moved
-            patch.setattr(Path, "rename", _killed(Path.rename, 1))
-        else:
-            finish = swap.finish
-
-            def broken_off(folder):
-                patch.setattr(swap.os, "replace", _killed(os.replace, 3))
-                finish(folder)
-
-            patch.setattr(swap, "finish", broken_off)
-
-    assert _in_child(place, arguments, prepare) == -signal.SIGKILL
+    in_child = _in_fresh_child if command == "densify" else _in_child
+    assert in_child(place, arguments, _Killing(command, moment)) == -signal.SIGKILL
     settle(place / "run")
 
     after = _results(place / "run")

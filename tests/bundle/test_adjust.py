@@ -258,7 +258,7 @@ class _Overshooting:
     def __init__(self, problem):
         self.problem, self.retract = problem, problem.retract
 
-    def linearize(self, state):
+    def linearize(self, state, near=False):
         point = torch.zeros_like(state.points)
         point[0, 2] = 500.0
         step = Step(
