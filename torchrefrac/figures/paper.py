@@ -23,7 +23,7 @@ def photograph_and_models_figure(photograph: Path, views: Sequence[SideView], tr
     Two panels a row; one scale for all reconstructions.
     """
     frame, rows = SideFrame.of(views, truth, height_colors()), 1 + len(views) // 2
-    figure = blank_figure(WIDTH, 0.6 + rows * (0.85 + 0.37 * WIDTH * frame.tall))
+    figure = blank_figure(WIDTH, 0.6 + rows * (0.95 + 0.37 * WIDTH * frame.tall))
     grid = figure.subplots(rows, 2, squeeze=False).flatten()
     for panel in grid[1 + len(views) :]:
         panel.set_visible(False)
@@ -90,8 +90,9 @@ def paths_figure(scenes: Mapping[str, Scene], truth: Truth | None, words: Wordin
             draw_path(panel, scene, truth, frame, colored)
             panel.set(xlim=x, ylim=y, aspect="equal")
             panel.tick_params(labelsize=8)
+    across, upwards = limits[0]
     for panel in grid[0]:
-        scale_bar(panel, *limits[0], unit)
+        scale_bar(panel, across, upwards, unit)
         panel.spines[:].set_visible(False)
     for panel in grid[1]:
         panel.set_xlabel(f"{words.across} ({unit})", fontsize=9)

@@ -11,6 +11,8 @@ from torchrefrac.html.words import UNKNOWN, model_order, model_title, rounded
 
 PAPER = {"none": 1.062, "radial": 0.717, "refractive": 0.025}
 """Errors of the cameras in the paper's Table 1, RMS, cm. Those without refraction are Bundler's."""
+DIGITS = 3
+"""Of errors in tables, as the paper has them."""
 SYNTHETIC, PHOTOGRAPHED = "tank", "cans"
 """The scenes made after the paper's synthetic experiment (section 4.1) and after its real one (4.2)."""
 
@@ -56,17 +58,18 @@ def table_of(records: Records, scene: str, folder: Path) -> Table | None:
     own = sorted((record for (name, _), record in records.items() if name == scene), key=model_order)
     if not own:
         return None
-    return table1([Entry(model_title(one.model), one, report_link(one, folder)) for one in own], own[0].length_unit)
+    entries = [Entry(model_title(one.model), one, report_link(one, folder)) for one in own]
+    return table1(entries, own[0].length_unit, digits=DIGITS)
 
 
 def table_beside_paper(records: Records, folder: Path) -> Table | None:
-    """Table 1 of the synthetic scene, with a column of the paper's numbers."""
+    """Table 1 of the synthetic scene, with a column of the paper's numbers after the models."""
     table = table_of(records, SYNTHETIC, folder)
     if table is None:
         return None
     numbers = {model_title(model): f"{error:.3f}" for model, error in PAPER.items()}
     rows = [[row[0], Cell(numbers.get(row[0].text, UNKNOWN)), *row[1:]] for row in table.rows]
-    return replace(table, heads=[table.heads[0], "the paper's camera error (cm)", *table.heads[1:]], rows=rows)
+    return replace(table, heads=[table.heads[0], "camera error, paper (cm)", *table.heads[1:]], rows=rows)
 
 
 def _camera_errors(records: Records) -> dict[str, float]:
