@@ -15,6 +15,7 @@ from torchrefrac.scene import Scene, Truth
 from torchrefrac.scene.wording import Wording
 
 PLANE = "#d9dee2"
+SCALE_ROOM = 0.08  # of the height of an oblique view, under the points
 
 
 def photograph_and_models_figure(photograph: Path, views: Sequence[SideView], truth: Truth | None) -> Any:
@@ -81,6 +82,7 @@ def paths_figure(scenes: Mapping[str, Scene], truth: Truth | None, words: Wordin
     side = from_side(truth, words)
     frames = (oblique(side), side)
     limits = [path_limits(shown, truth, frame) for frame in frames]
+    limits[0][1][0] -= SCALE_ROOM * (limits[0][1][1] - limits[0][1][0])
     tall = [(y[1] - y[0]) / (x[1] - x[0]) for x, y in limits]
     width = 1.2 * WIDTH
     figure = blank_figure(width, 1.1 + sum(tall) * (width - 1.4) / len(shown))

@@ -87,8 +87,8 @@ def of_photographed(runs: Mapping[str, RunContents]) -> Iterator[Made]:
         f"Roll, pitch and heading of each image by {titles}, and as measured",
         f"Roll and pitch: {known.words.dips}. Headings are compared after taking out their mean difference. RMS "
         f"differences from the IMU: {'; '.join(_differences(model, angles) for model, (_, angles) in found.items())}.",
-        "With refraction roll and pitch stay as near the IMU as its own errors allow; without, they are off by more. "
-        "Heading hardly depends on the model.",
+        "With refraction roll and pitch stay as near the IMU as its own errors allow; without, pitch comes out too "
+        "small, and heading as with it. So it is in the paper.",
     )
 
 
