@@ -40,7 +40,7 @@ def test_the_paper_s_table_is_one_run_for_each_model_and_needs_no_m(torchrefrac,
 
 
 def test_the_paper_s_experiments_are_both_scenes_with_all_models_and_end_in_a_page_of_their_own(torchrefrac, jobs):
-    ended = torchrefrac("sweep=paper", "out=runs", reports=True)
+    ended = torchrefrac("sweep=paper", "out=runs")
 
     assert ended.status == 0
     models = ["none", "radial", "bundler", "refractive"]
