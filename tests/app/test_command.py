@@ -77,7 +77,7 @@ def test_a_multirun_over_the_models_ends_with_table_and_figure(both_models, metr
         (["scene=capture", "scene.path=nowhere"], "nowhere is not a folder"),
         (["water.index_ratio=0.5"], "water.index_ratio is 0.5, but must lie between 1 and 3"),
         (["sfm.max_error=big"], "sfm.max_error is 'big', but must be a number"),
-        (["model.name=best"], "model.name is 'best', but must be one of none, radial, refractive"),
+        (["model.name=best"], "model.name is 'best', but must be one of none, radial, bundler, refractive"),
     ],
 )
 def test_bad_input_is_one_sentence_a_failed_status_and_no_results(torchrefrac, metrics, tmp_path, arguments, sentence):

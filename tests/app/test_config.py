@@ -67,7 +67,7 @@ def test_the_index_ratio_can_come_from_the_temperature_of_the_water():
         ({"sfm": {"ransac": {"max_error": -1.0}}}, "sfm.ransac.max_error is -1, but must be finite and above 0"),
         (
             {"model": {"name": "perspective"}},
-            "model.name is 'perspective', but must be one of none, radial, refractive",
+            "model.name is 'perspective', but must be one of none, radial, bundler, refractive",
         ),
         ({"water": {"index_ratio": 0.5}}, "water.index_ratio is 0.5, but must lie between 1 and 3"),
         (

@@ -86,6 +86,25 @@ def test_the_paper_s_table_comes_out_of_a_scene_that_is_made(sweep):
 
 
 @pytest.mark.slow
+def test_the_paper_s_experiments_come_out_of_one_command(sweep, tmp_path):
+    found = sweep("sweep=paper", FEWER)
+
+    tank = {each["model"]: each for each in found if each["scene"] == "tank"}
+    assert set(tank) == {"none", "radial", "bundler", "refractive"}
+    assert len(found) == 8
+    for each in found:
+        assert each["registered_images"] == each["images"], (each["scene"], each["model"])
+    for model in ("none", "radial", "bundler"):
+        assert tank[model]["camera_rms_cm"] > CLEARLY * tank["refractive"]["camera_rms_cm"], model
+    assert tank["bundler"]["camera_rms_cm"] < tank["radial"]["camera_rms_cm"] < tank["none"]["camera_rms_cm"]
+    page = (tmp_path / "runs" / "paper.html").read_text(encoding="utf-8")
+    assert "What is missing" not in page
+    for number in (1, 3, 5, 6):
+        assert f"Figure {number}. " in page
+        assert (tmp_path / "runs" / f"paper_figure{number}.pdf").is_file()
+
+
+@pytest.mark.slow
 def test_the_error_of_a_wrong_index_ratio_grows_on_both_sides_of_the_true_one(sweep):
     found = sweep("sweep=index_error", "features.max_features=3000")
 

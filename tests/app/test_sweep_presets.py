@@ -1,5 +1,7 @@
 """Sweeps that are prepared: what they vary, and how the command line changes them."""
 
+from pathlib import Path
+
 import pytest
 from hydra import compose, initialize_config_dir
 
@@ -35,6 +37,23 @@ def test_the_paper_s_table_is_one_run_for_each_model_and_needs_no_m(torchrefrac,
     assert {job.scene.label for job in jobs} == {"tank"}
     (folder,) = (tmp_path / "outputs").iterdir()
     assert folder.name.endswith("_paper_table1")
+
+
+def test_the_paper_s_experiments_are_both_scenes_with_all_models_and_end_in_a_page_of_their_own(torchrefrac, jobs):
+    ended = torchrefrac("sweep=paper", "out=runs")
+
+    assert ended.status == 0
+    models = ["none", "radial", "bundler", "refractive"]
+    expected = [(scene, model) for scene in ("tank", "cans") for model in models]
+    assert [(job.scene.label, job.reconstruction.model.name) for job in jobs] == expected
+    assert "[paper.html](paper.html)" in Path("runs/summary.md").read_text(encoding="utf-8")
+    assert Path("runs/paper.html").is_file()
+
+
+def test_other_sweeps_have_no_page_of_the_paper(torchrefrac, jobs):
+    torchrefrac("sweep=paper_table1", "out=runs")
+
+    assert not Path("runs/paper.html").exists()
 
 
 def test_an_index_error_assumes_ratios_on_both_sides_of_the_true_one():
@@ -84,4 +103,4 @@ def test_help_lists_the_presets(torchrefrac):
     ended = torchrefrac("--help")
 
     assert all(f"  sweep={preset} " in ended.out for preset in PRESETS)
-    assert PRESETS == ["depth", "gravity_error", "index_error", "paper_table1"]
+    assert PRESETS == ["depth", "gravity_error", "index_error", "paper", "paper_table1"]

@@ -18,7 +18,7 @@ from torchrefrac.cli.arguments import typed
 from torchrefrac.cli.commands import is_watched
 from torchrefrac.cli.failures import failed, keep_failure, tell
 from torchrefrac.files.run import RunRecord, RunStatus
-from torchrefrac.html import write_job_reports, write_sweep_report
+from torchrefrac.html import write_job_reports, write_paper, write_sweep_report
 from torchrefrac.record.terminal import TerminalRecorder, wrapped
 from torchrefrac.recorder import SilentRecorder
 from torchrefrac.sweeps.comparison import compare
@@ -29,8 +29,12 @@ from torchrefrac.sweeps.summary import write_summary
 class CompareRuns(Callback):
     """Follows a multirun, whatever it runs over, and compares its runs at the end.
 
-    The paper's Table 1 and Figure 1, also of dense surfaces, a summary of what was varied, and reports.
+    The paper's Table 1 and Figure 1, also of dense surfaces, a summary of what was varied, and reports; with `paper`
+    also the page that sets the paper's numbers and figures beside those of the runs.
     """
+
+    def __init__(self, paper: bool = False) -> None:
+        self._paper = paper
 
     def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Say which job begins, or, where several run side by side, share the processors."""
@@ -67,7 +71,7 @@ class CompareRuns(Callback):
         told = ["\n".join(_unrecorded(jobs, records))]
         if runs:
             try:
-                told += _write(folder, runs, config)
+                told += _write(folder, runs, config, self._paper)
             except OSError as error:
                 tell(error, folder)
         if rest:
@@ -88,11 +92,13 @@ def _unrecorded(jobs: Sequence[Job], records: Sequence[RunRecord]) -> list[str]:
     return lines + ([f"{stopped} of {len(jobs)} jobs did not come to an end"] if stopped else [])
 
 
-def _write(folder: Path, runs: list[Path], config: DictConfig) -> list[str]:
+def _write(folder: Path, runs: list[Path], config: DictConfig, paper: bool) -> list[str]:
     """Everything that compares the runs; returns what to print of it."""
     table = compare(runs, folder)
     if config.report:
         write_job_reports(runs, SilentRecorder() if config.quiet else TerminalRecorder())
+    if paper:
+        write_paper(folder, runs)
     said = write_summary(folder, runs, to_come=("report.html",) if config.report else ())
     if config.report:
         write_sweep_report(folder, runs)

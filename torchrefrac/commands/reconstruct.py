@@ -36,6 +36,7 @@ from torchrefrac.sfm import (
     complete_gravity,
     facing_wall,
     level_capture,
+    uncalibrated,
     with_likely_focals,
     with_upright_wall,
 )
@@ -66,6 +67,8 @@ def reconstruct(
     options = options or Options()
     survey = survey or survey_of(capture, options)
     capture = _prepared(capture, survey)
+    if options.model.name == "bundler":
+        capture = uncalibrated(capture)
     require_pairs(capture, options.matching)
     recorder, work = recorder or SilentRecorder(), work or Work()
     stage = _Stages(on_stage)

@@ -26,6 +26,9 @@ from torchrefrac.sfm import (
 
 ROUGH = "clearly more matches agree within sfm.rough_error, as over waves, which therefore takes the place of max_error"
 
+REFINED = {"radial": ("radial",), "bundler": ("focal", "radial")}
+"""What models without refraction refine beside what the options say."""
+
 LAND = "most of what the photographs show is land, which poses are taken from; the water is looked for afterwards"
 
 
@@ -43,8 +46,8 @@ def initializer_of(
     sfm = options.sfm
     if options.model.name != "refractive" or ratio == 1.0:
         refine = tuple(name for name in sfm.bundle.refine if name in INTRINSICS)
-        if options.model.name == "radial" and "distortion" not in refine:
-            refine = (*(name for name in refine if name != "radial"), "radial")
+        added = [name for name in REFINED.get(options.model.name, ()) if name != "radial" or "distortion" not in refine]
+        refine = (*(name for name in refine if name not in added), *added)
         sfm = replace(sfm, bundle=replace(sfm.bundle, refine=refine))
     if options.model.name != "refractive":
         return PinholeInitializer(capture, sfm), sfm

@@ -18,7 +18,7 @@ from torchrefrac.scene.interfaces import MAX_INDEX_RATIO
 from torchrefrac.sfm import ReadjustOptions, SfmOptions
 from torchrefrac.synthetic.options import SyntheticOptions
 
-ModelName = Literal["none", "radial", "refractive"]
+ModelName = Literal["none", "radial", "bundler", "refractive"]
 FRESH_WATER = 1.333
 SALINITY_PSU, WAVELENGTH_NM = Range(at_least=0.0, at_most=35.0), Range(at_least=400.0, at_most=700.0)
 SEED = Range(at_least=0, at_most=2**64 - 1)  # what PyTorch takes
@@ -28,7 +28,8 @@ FARTHEST = 1e9  # of a plane from the origin, in any unit
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """none: no refraction, lens fixed. radial: no refraction, k1 and k2 refined. refractive: the water, exactly."""
+    """none: no refraction, lens fixed. radial: no refraction, k1 and k2 refined. bundler: no refraction, focal length,
+    k1 and k2 of each photograph refined, from its EXIF alone. refractive: the water, exactly."""
 
     name: ModelName = "refractive"
 

@@ -1,7 +1,7 @@
 """The paper's Figure 6: the attitude of the cameras as reconstructed, as measured, and as it was."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchrefrac.figures import plotting
 from torchrefrac.figures.plotting import ESTIMATE, MEASURED, TRUE, legend_above, legend_key, number_images, rounded
-from torchrefrac.figures.side_views import true_of
+from torchrefrac.figures.side_views import INK, true_of
 from torchrefrac.geometry import split_heading
 from torchrefrac.scene import Capture, Scene, Truth
 from torchrefrac.sfm.frame import levelling
@@ -98,12 +98,50 @@ def attitude_figure(images: Int[Tensor, " k"], angles: Sequence[Angle], count: i
     return figure
 
 
+def models_attitude_figure(
+    found: Mapping[str, tuple[Int[Tensor, " k"], Sequence[Angle]]], styles: Mapping[str, Mapping[str, Any]], count: int
+) -> Any:
+    """The paper's Figure 6: the angles that several models find, by their titles, and what the IMU measured.
+
+    A row an angle: on the left what it is, on the right what the models find minus what was measured. styles: color and
+    marker of each title. Headings of all are drawn on the branch of the first; measured ones are those that belong to
+    the last.
+    """
+    images, measured = list(found.values())[-1]
+    first = next(iter(found.values()))[1]
+    figure, grid = plotting.panels(len(first), 2, 0.7 + 1.75 * len(first), sharex="col", width_ratios=(1.0, 1.0))
+    for row, (values, errors) in enumerate(grid):
+        errors.axhline(0.0, color="#9aa1a8", lw=1.0)
+        values.set_ylabel(f"{first[row].name} (°)")
+        for title, (numbers, angles) in found.items():
+            angle, style = angles[row], {"ms": 4, "lw": 1.0, **styles[title]}
+            whole = 360.0 * ((angle.estimated[:1] - first[row].estimated[:1]) / 360.0).round()
+            values.plot((numbers + 1).numpy(), (angle.estimated - whole).numpy(), "-", **style, zorder=3)
+            error = angle.error(angle.measured)
+            if error is not None:
+                errors.plot((numbers + 1).numpy(), error.numpy(), "-", **style, zorder=3)
+        known = measured[row].measured
+        if known is not None:
+            whole = 360.0 * ((known[:1] - first[row].estimated[:1]) / 360.0).round()
+            shown = (known - whole).numpy()
+            values.plot((images + 1).numpy(), shown, "s", mfc="none", color=INK, ms=8, zorder=2)
+    grid[0][0].set_title("angle", fontsize=11)
+    grid[0][1].set_title("estimated minus IMU", fontsize=11)
+    for panel in grid[-1]:
+        number_images(panel, count)
+    handles = [legend_key(label=title, ms=4, lw=1.0, **styles[title]) for title in found]
+    if any(angle.measured is not None for angle in measured):
+        handles.append(legend_key(marker="s", ls="", mfc="none", color=INK, label="measured (IMU)"))
+    legend_above(figure, handles)
+    return figure
+
+
 def attitude_words(angles: Sequence[Angle]) -> str:
     """RMS of the differences, in one sentence."""
     parts = []
     for name, pick in (("the IMU", "measured"), ("the truth", "true")):
         errors = [(a.name, a.error(getattr(a, pick))) for a in angles]
-        known = [f"{n} {rounded(_rms(e))}°" for n, e in errors if e is not None and bool(e.isfinite().any())]
+        known = [f"{n} {rounded(rms(e))}°" for n, e in errors if e is not None and bool(e.isfinite().any())]
         if known:
             parts.append(f"against {name} {', '.join(known)}")
     return f"RMS differences {'; '.join(parts)}." if parts else ""
@@ -114,7 +152,8 @@ def wrapped(degrees: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
     return torch.remainder(degrees + 180.0, 360.0) - 180.0
 
 
-def _rms(values: Float[Tensor, " n"]) -> float:
+def rms(values: Float[Tensor, " n"]) -> float:
+    """Root mean square of those that are known (not NaN)."""
     return math.sqrt(float(values[values.isfinite()].square().mean()))
 
 

@@ -1,6 +1,7 @@
 """The paper's Figure 5: where the cameras were, and what they saw."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -23,20 +24,18 @@ def cameras_figure(shown: Scene, truth: Truth | None, words: Wording) -> Any:
 
     A line joins the cameras in the order of the images; crosses are the true centres, where `truth` has them.
     """
-    unit, height = shown.length_unit, shown.points[:, 2]
-    low, high = (float(height.quantile(tail)) for tail in TAILS) if len(height) else (0.0, 1.0)
-    colored = plotting.color_scale(low, max(high, low + 1e-9), height_colors())
+    unit, colored = shown.length_unit, colored_heights([shown])
     frames = (
         torch.eye(3, dtype=torch.float64),
         oblique(from_side(None, words), TO_FRONT_DEG if words.is_wall else -TURN_DEG),
     )
-    limits = [_limits(shown, truth, frame) for frame in frames]
+    limits = [path_limits([shown], truth, frame) for frame in frames]
     widths = [x[1] - x[0] for x, _ in limits]
     tall = max((y[1] - y[0]) / (x[1] - x[0]) for x, y in limits)
     figure = blank_figure(WIDTH + 1.0, 0.9 + 0.45 * WIDTH * min(max(tall, SLIM), TALL))
     views = figure.subplots(1, 2, gridspec_kw={"width_ratios": [math.sqrt(w / max(widths)) for w in widths]})
     for panel, frame, (x, y) in zip(views, frames, limits, strict=True):
-        _draw(panel, shown, truth, frame, colored)
+        draw_path(panel, shown, truth, frame, colored)
         panel.set(xlim=x, ylim=y, aspect="equal")
         panel.tick_params(labelsize=8)
     views[0].set_title(words.along_z, fontsize=11)
@@ -45,16 +44,29 @@ def cameras_figure(shown: Scene, truth: Truth | None, words: Wording) -> Any:
     views[1].set(xticks=[], yticks=[])
     views[1].spines[:].set_visible(False)
     plotting.color_bar(figure, colored, list(views), f"{words.z} ({unit})")
+    legend_above(figure, path_keys(truth))
+    return figure
+
+
+def path_keys(truth: Truth | None) -> list[Any]:
+    """What the marks of `draw_path` mean."""
     handles = [legend_key(color=INK, lw=1.2, label="cameras"), legend_key(color=WATER, lw=1.0, label="path")]
     if truth is not None:
         handles.append(legend_key(marker="+", ls="", color=SECOND, label="true camera centres"))
         if len(truth.corner):
             handles.append(legend_key(color=OUTLINE, lw=1.5, label="true planes"))
-    legend_above(figure, handles)
-    return figure
+    return handles
 
 
-def _draw(panel: Any, shown: Scene, truth: Truth | None, frame: Float[Tensor, "3 3"], colored: Any) -> None:
+def colored_heights(scenes: Sequence[Scene]) -> Any:
+    """Colours for the heights of all but stray points of scenes."""
+    height = torch.cat([scene.points[:, 2] for scene in scenes])
+    low, high = (float(height.quantile(tail)) for tail in TAILS) if len(height) else (0.0, 1.0)
+    return plotting.color_scale(low, max(high, low + 1e-9), height_colors())
+
+
+def draw_path(panel: Any, shown: Scene, truth: Truth | None, frame: Float[Tensor, "3 3"], colored: Any) -> None:
+    """Points, path and cameras of a scene, and what is true of them; frame: rows right, up and towards the viewer."""
     from matplotlib.collections import LineCollection  # noqa: PLC0415
 
     seen = shown.points @ frame.mT
@@ -101,11 +113,13 @@ def pyramids(shown: Scene) -> Float[Tensor, "lines 4 3"]:
     return torch.stack((apex, ends, ends.roll(-1, dims=1), apex), dim=2).flatten(0, 1)
 
 
-def _limits(shown: Scene, truth: Truth | None, frame: Float[Tensor, "3 3"]) -> list[list[float]]:
-    """Of cameras, true planes, and all but stray points."""
-    parts = [pyramids(shown).flatten(0, 1) @ frame.mT, outlines(truth).flatten(0, 1) @ frame.mT]
-    if len(shown.points):
-        parts.append((shown.points @ frame.mT).quantile(torch.tensor(TAILS, dtype=torch.float64), dim=0))
+def path_limits(scenes: Sequence[Scene], truth: Truth | None, frame: Float[Tensor, "3 3"]) -> list[list[float]]:
+    """Horizontal and vertical range of cameras, true planes, and all but stray points, as `draw_path` draws them."""
+    parts = [outlines(truth).flatten(0, 1) @ frame.mT]
+    for shown in scenes:
+        parts.append(pyramids(shown).flatten(0, 1) @ frame.mT)
+        if len(shown.points):
+            parts.append((shown.points @ frame.mT).quantile(torch.tensor(TAILS, dtype=torch.float64), dim=0))
     every = torch.cat(parts)[:, :2]
     low, high = every.amin(dim=0), every.amax(dim=0)
     margin = 0.04 * (high - low).max().clamp(min=1e-9)

@@ -85,7 +85,7 @@ def draw_grid(
             panel.set(xlim=x, ylim=y, aspect="equal", facecolor=row.paper)
             panel.tick_params(labelsize=8)
             if row.labels is None:
-                _scale_bar(panel, x, y, columns[0].length_unit)
+                scale_bar(panel, x, y, columns[0].length_unit)
             else:
                 panel.set_xlabel(row.labels[0])
         if row.labels is not None:
@@ -129,7 +129,7 @@ def _draw_surroundings(panel: Any, column: Column, row: Row, truth: Truth | None
             draw_first_surface(panel, column.words)
 
 
-def _scale_bar(panel: Any, x: Sequence[float], y: Sequence[float], unit: str) -> None:
+def scale_bar(panel: Any, x: Sequence[float], y: Sequence[float], unit: str) -> None:
     """In place of axes, as an oblique view has none: a length that holds for whatever lies across the view."""
     width, height = x[1] - x[0], y[1] - y[0]
     length = rounded_up(0.1 * width)

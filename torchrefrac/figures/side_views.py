@@ -14,8 +14,12 @@ from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Scene, Truth
 from torchrefrac.scene.wording import OF_WATER, Wording, wording_of
 
-TITLES = {"none": "No refraction", "radial": "Radial distortion", "refractive": "Refraction"}
-MODEL_COLORS = {"none": "#d55e00", "radial": "#009e73", "refractive": "#0072b2"}  # different for the colour-blind too
+TITLES = {
+    "none": "No refraction", "radial": "Radial distortion", "bundler": "As Bundler", "refractive": "Refraction",
+}  # fmt: skip
+MODEL_COLORS = {  # different for the colour-blind too
+    "none": "#d55e00", "radial": "#009e73", "bundler": "#cc79a7", "refractive": "#0072b2",
+}  # fmt: skip
 WATER, INK, FAINT = "#2b7bba", "#222222", "#c4c4c4"
 PANEL_INCHES = 4.4
 
@@ -66,36 +70,64 @@ def side_views_figure(
     along which the true planes look thinnest (without truth: along y). What is seen through a wall has z, before the
     glass, from left to right, and y upwards.
     """
-    words, side = views[0].words, side_direction(truth)
-    low, high = _height_range(views, truth)
-    limits = _limits(views, truth, side)
-    width, height = (end - start for start, end in limits)
+    frame = SideFrame.of(views, truth, colors)
     lines = 0.2 * max(view.caption.count("\n") for view in views)
-    figure = blank_figure(1.6 + panel_inches * len(views), 1.35 + lines + panel_inches * height / width)
-    colored = color_scale(low, high, colors)
+    figure = blank_figure(1.6 + panel_inches * len(views), 1.35 + lines + panel_inches * frame.tall)
     panels = figure.subplots(1, len(views), sharex=True, sharey=True, squeeze=False)[0]
     for panel, view in zip(panels, views, strict=True):
-        for corners in outlines(truth):
-            panel.plot(*_seen(corners, words, side), "-", color=FAINT, lw=3.0, zorder=1)
+        frame.draw(panel, view)
+    frame.explain(figure, list(panels), views)
+    return figure
+
+
+@dataclass(frozen=True)
+class SideFrame:
+    """What views from the side share: the horizontal direction that runs to the right in them, the ranges of both axes,
+    the colours of heights, and the true planes."""
+
+    side: Float[Tensor, " 2"]
+    limits: list[tuple[float, float]]
+    colored: Any
+    truth: Truth | None
+
+    @classmethod
+    def of(cls, views: Sequence[SideView], truth: Truth | None, colors: Any) -> "SideFrame":
+        """That holds all but stray points of every view; colors: a colour map."""
+        side = side_direction(truth)
+        return cls(side, _limits(views, truth, side), color_scale(*_height_range(views, truth), colors), truth)
+
+    @property
+    def tall(self) -> float:
+        """The height of a panel over its width."""
+        width, height = (end - start for start, end in self.limits)
+        return height / width
+
+    def draw(self, panel: Any, view: SideView) -> None:
+        """One view, over the true planes."""
+        words, colored = view.words, self.colored
+        for corners in outlines(self.truth):
+            panel.plot(*_seen(corners, words, self.side), "-", color=FAINT, lw=3.0, zorder=1)
         z = view.points[:, 2].numpy()
-        right, up = _seen(view.points, words, side)
+        right, up = _seen(view.points, words, self.side)
         panel.scatter(right, up, c=z, s=2.5, cmap=colored.cmap, norm=colored.norm, linewidths=0, zorder=3)
-        panel.plot(*_seen(view.centers, words, side), "^", ms=5, mfc="none", mec=INK)
+        panel.plot(*_seen(view.centers, words, self.side), "^", ms=5, mfc="none", mec=INK)
         if view.surface:
             draw_first_surface(panel, words)
-        panel.set(xlim=limits[0], ylim=limits[1], aspect="equal")
+        panel.set(xlim=self.limits[0], ylim=self.limits[1], aspect="equal")
         panel.set_title(view.title, fontsize=13)
         panel.set_xlabel(f"{words.across} ({view.length_unit})\n{view.caption}")
         panel.tick_params(labelsize=8)
-    unit = views[0].length_unit
-    panels[0].set_ylabel(f"{words.up if words.is_wall else words.height} ({unit})")
-    bar = figure.colorbar(colored, ax=list(panels), pad=0.01, aspect=30, label=f"{words.z} ({unit})")
-    bar.ax.tick_params(labelsize=8)
-    handles = camera_keys(next((view.surface for view in views if view.surface), ""))
-    if len(outlines(truth)):
-        handles.append(legend_key(color=FAINT, lw=3, label="true planes"))
-    legend_above(figure, handles)
-    return figure
+
+    def explain(self, figure: Any, panels: list[Any], views: Sequence[SideView]) -> None:
+        """Say what the upward axis of the first of the panels, the colours and the marks are."""
+        words, unit = views[0].words, views[0].length_unit
+        panels[0].set_ylabel(f"{words.up if words.is_wall else words.height} ({unit})")
+        bar = figure.colorbar(self.colored, ax=panels, pad=0.01, aspect=30, label=f"{words.z} ({unit})")
+        bar.ax.tick_params(labelsize=8)
+        handles = camera_keys(next((view.surface for view in views if view.surface), ""))
+        if len(outlines(self.truth)):
+            handles.append(legend_key(color=FAINT, lw=3, label="true planes"))
+        legend_above(figure, handles)
 
 
 def camera_keys(surface: str) -> list[Any]:

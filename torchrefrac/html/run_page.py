@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from torchrefrac.figures.residuals import Residuals
+from torchrefrac.files.run import RunRecord
 from torchrefrac.html import drawn, words
 from torchrefrac.html.contents import RunContents, read_contents
 from torchrefrac.html.page import write_page
@@ -133,6 +134,11 @@ def _titles(runs: Sequence[RunContents]) -> list[str]:
 def relative_report(run: Path, folder: Path) -> str:
     """Where the report of `run` is, from a page in `folder`."""
     return Path(os.path.relpath(run.resolve() / REPORT, folder.resolve())).as_posix()
+
+
+def report_link(record: RunRecord, folder: Path) -> str:
+    """The same of a run that may have none, for which it is empty."""
+    return relative_report(record.folder, folder) if (record.folder / REPORT).is_file() else ""
 
 
 def _determined(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:

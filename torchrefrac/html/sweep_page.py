@@ -8,9 +8,9 @@ from torchrefrac.files.run import RunRecord
 from torchrefrac.html.contents import read_contents
 from torchrefrac.html.drawn import Drawn, draw_models
 from torchrefrac.html.page import Picture, picture, write_page
-from torchrefrac.html.run_page import relative_report, write_report
+from torchrefrac.html.run_page import report_link, write_report
 from torchrefrac.html.tables import REPORT, Entry, Table, files_of, table1
-from torchrefrac.html.words import MODELS, distinct, model_order, model_title, seconds
+from torchrefrac.html.words import distinct, model_order, model_title, models_words, seconds
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Truth
 from torchrefrac.sweeps.design import MOST_PANELS, load_runs, short_keys, shown_together, what_varied
@@ -63,21 +63,16 @@ def write_sweep_report(folder: Path, runs: Sequence[Path]) -> Path:
         title=f"{len(jobs)} jobs: {_listed([section.title for section in sections])}" if sections else "Sweep",
         verdict=_verdict(jobs, failed),
         total=seconds(sum(job.number("seconds_total") or 0.0 for job in jobs)),
-        models={model_title(name): MODELS[name] for name in MODELS if any(job.model == name for job in jobs)},
+        models=models_words(jobs),
         varied={
             key: list(dict.fromkeys(job.overrides.get(key, DEFAULT) for job in jobs if job.overrides)) for key in short
         },
-        failed=[Failed(job, _label(job, short) or job.folder.name, _link(job, folder)) for job in failed],
+        failed=[Failed(job, _label(job, short) or job.folder.name, report_link(job, folder)) for job in failed],
         summary=_summary(folder / SUMMARY),
         sections=sections,
         files=[cell for cell in files_of(folder) if not cell.link.startswith("multirun")],
     )
     return folder / REPORT
-
-
-def _link(job: RunRecord, folder: Path) -> str:
-    """To the report of a job, from a page in `folder`; empty where it has none."""
-    return relative_report(job.folder, folder) if (job.folder / REPORT).is_file() else ""
 
 
 def _sections(jobs: Sequence[RunRecord], short: Mapping[str, str], folder: Path) -> list[SceneSection]:
@@ -92,7 +87,7 @@ def _sections(jobs: Sequence[RunRecord], short: Mapping[str, str], folder: Path)
         shown = {key: name for key, name in short.items() if key not in shared}
         labels = distinct([_label(job, shown, with_scene=False) for job in ordered], ordered)
         title = ", ".join((group[0].scene, *(f"{short[key]} {group[0].overrides.get(key, DEFAULT)}" for key in shared)))
-        entries = [Entry(label, job, _link(job, folder)) for label, job in zip(labels, ordered, strict=True)]
+        entries = [Entry(label, job, report_link(job, folder)) for label, job in zip(labels, ordered, strict=True)]
         unit = next((job.length_unit for job in group if job.length_unit), "")
         figure, truths = None, dict[Path, Truth | None]()
         if number < MOST_FIGURES and 2 <= len(ordered) <= MOST_PANELS:  # fewer have nothing beside them

@@ -52,13 +52,14 @@ class Entry:
     link: str = ""
 
 
-def table1(entries: Sequence[Entry], unit: str, marked: int | None = None) -> Table:
-    """The paper's Table 1 of complete runs of one scene: errors against truth, and what is known without it.
+def table1(entries: Sequence[Entry], unit: str, marked: int | None = None, digits: int = 2) -> Table:
+    """The paper's Table 1 of complete runs of one scene: errors against truth, to so many significant digits, and what
+    is known without it.
 
     Columns that no run has are left out; the smallest error of a column is marked as the best where there are several.
     """
     columns: list[tuple[str, str, Callable[[float], str], bool]] = [
-        (f"{name} ({unit})", f"{key}_{unit}", rounded, True) for name, key, _ in ERRORS
+        (f"{name} ({unit})", f"{key}_{unit}", lambda value: rounded(value, digits), True) for name, key, _ in ERRORS
     ]
     columns += [("reprojection (px)", "reprojection_median_px", rounded, True)]
     columns += [("points", "points", lambda value: f"{value:.0f}", False), ("time", "seconds_total", seconds, False)]

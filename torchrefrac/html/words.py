@@ -11,11 +11,12 @@ from torchrefrac.files.run import RunRecord, RunStatus
 from torchrefrac.files.swap import home
 from torchrefrac.scene import Capture, Interfaces
 from torchrefrac.scene.interfaces import SURFACE, WALL
-from torchrefrac.scene.wording import Wording
+from torchrefrac.scene.wording import INTERFACE, Wording, wording
 
 MODELS = {
     "none": "as if there were no water",
     "radial": "as if the camera made what the water does: radial distortion refined",
+    "bundler": "as Bundler does: focal length and radial distortion of each photograph refined, from its EXIF alone",
     "refractive": "with refraction {at}, exactly",
 }
 ENDS = {
@@ -76,6 +77,16 @@ def positions(capture: Capture | None, record: RunRecord) -> str:
 def model_words(model: str, of_kind: Wording) -> str:
     """What a model does; nothing of one that nobody knows."""
     return MODELS.get(model, "").format(at=of_kind.model)
+
+
+def models_words(records: Sequence[RunRecord]) -> dict[str, str]:
+    """What the models of runs do, by their titles; at what refracts in the first run with this model."""
+    first = {record.model: record for record in reversed(records)}
+    return {
+        model_title(model): model_words(model, wording(first[model].metrics.get(INTERFACE, SURFACE)))
+        for model in MODELS
+        if model in first
+    }
 
 
 def interfaces(capture: Capture | None) -> str:

@@ -18,6 +18,7 @@ from torchrefrac.sfm.register import register, register_each, start
 from torchrefrac.sfm.rules import ReadjustOptions, Rules, SfmOptions
 from torchrefrac.sfm.stated_levels import check_levels
 from torchrefrac.sfm.triangulate import triangulate
+from torchrefrac.sfm.uncalibrated import uncalibrated
 from torchrefrac.sfm.unmodelled import errors_in_air_and_water, fits_better_in_air
 from torchrefrac.sfm.verification import VerifiedPair, errors_are_rough, verify_pairs
 from torchrefrac.sfm.vertical import UnknownVerticalError, complete_gravity, level_capture
@@ -32,6 +33,6 @@ __all__ = [
     "better_focal", "check_levels", "complete_gravity", "errors_are_rough", "errors_in_air_and_water", "facing_wall",
     "filter_points", "fits_better_in_air", "gravity_in_world", "level_capture", "looks_through_wall",
     "placed_in_survey", "readjust", "reconstruct_sparse", "register", "register_each", "start", "triangulate",
-    "triangulate_tracks", "upright", "verify_pairs", "with_found_level", "with_found_normal", "with_likely_focals",
-    "with_noise_found", "with_right_gravity", "with_upright_wall",
+    "triangulate_tracks", "uncalibrated", "upright", "verify_pairs", "with_found_level", "with_found_normal",
+    "with_likely_focals", "with_noise_found", "with_right_gravity", "with_upright_wall",
 ]  # fmt: skip

@@ -7,8 +7,8 @@ from torchrefrac.figures.side_views import MODEL_COLORS, TITLES
 from torchrefrac.files.run import RunRecord
 from torchrefrac.sweeps.design import Design, short_keys, value_of
 
-OTHER_COLORS = ("#cc79a7", "#e69f00", "#56b4e9", "#000000")
-MARKERS = {"none": "o", "radial": "s", "refractive": "D"}
+OTHER_COLORS = ("#e69f00", "#56b4e9", "#000000")
+MARKERS = {"none": "o", "radial": "s", "bundler": "v", "refractive": "D"}
 DASHES = ("-", (0, (4, 1.5)), (0, (1, 1.2)), (0, (4, 1.5, 1, 1.5)))
 PALEST = 0.6  # share of white in the last of several lines of one model
 

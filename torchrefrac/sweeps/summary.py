@@ -14,6 +14,7 @@ from torchrefrac.sweeps.table import csv_text, results_table
 LINKS = {
     "summary.png": "errors over what was varied", "report.html": "all jobs on one page",
     "summary.csv": "every number of every job", "table1.md": "the paper's Table 1",
+    "paper.html": "the paper's numbers and figures beside these",
 }  # fmt: skip
 
 

@@ -160,11 +160,16 @@ def _by_exif(exif: Exif, width: int, height: int) -> Lens | None:
 
 
 def _by_equivalent(equivalent: float, width: int, height: int, sigma: float, source: str) -> Lens:
-    """Of the diagonal; for 16:9 of that of the whole sensor."""
+    return centered(focal_of_equivalent(equivalent, width, height), width, height, sigma, source)
+
+
+def focal_of_equivalent(equivalent: float, width: int, height: int) -> float:
+    """The focal length in pixels that is `equivalent` mm on 35 mm film: of the diagonal; for 16:9 of that of the whole
+    sensor."""
     wide = max(width, height)
     cropped = wide >= WIDER_THAN_A_SENSOR * min(width, height)
     diagonal = DIAGONAL_OF_A_SENSOR * wide if cropped else math.hypot(width, height)
-    return centered(equivalent / FILM_DIAGONAL * diagonal, width, height, sigma, source)
+    return equivalent / FILM_DIAGONAL * diagonal
 
 
 def _sensor_width(exif: Exif, wide: int) -> tuple[float | None, str]:
