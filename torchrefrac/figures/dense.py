@@ -25,14 +25,14 @@ from torchrefrac.figures.panels import (
     oblique,
     rounded_up,
 )
-from torchrefrac.figures.plotting import blank_figure, color_bar, save
+from torchrefrac.figures.plotting import blank_figure, color_bar, height_colors, save
 from torchrefrac.figures.side_views import PANEL_INCHES, TITLES, SideView, outlines, side_view
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import DenseCloud, DepthMap, Scene, Truth
 from torchrefrac.scene.wording import OF_WATER, Wording
 
 MOST = 150_000
-HEIGHT_COLORS, DEPTH_COLORS, ERROR_COLORS = "jet_r", "viridis_r", "RdYlBu"
+ERROR_COLORS = "RdYlBu"
 
 
 def dense_view(
@@ -61,7 +61,7 @@ def draw_dense_views(views: Sequence[SideView], truth: Truth | None, path: Path)
     )
     true_heights = outlines(truth)[..., 2].flatten()
     low, high = _ends(true_heights, 1.0) if len(true_heights) else _ends(torch.cat([c.values for c in columns]), 0.98)
-    draw_grid(columns, rows, truth, (HEIGHT_COLORS, low, high, f"{words.z} ({unit})"), path)
+    draw_grid(columns, rows, truth, (height_colors(), low, high, f"{words.z} ({unit})"), path)
 
 
 def error_panel(
@@ -101,21 +101,19 @@ def draw_error_map(panels: Sequence[Column], truth: Truth, path: Path, limit: fl
 
 
 def draw_depth_map(depth_map: DepthMap, path: Path, words: Wording = OF_WATER) -> None:
-    """What one image sees: the depth along its optical axis, and the height above the water, or what z is else. Grey
-    where nothing is."""
-    from matplotlib import colormaps  # noqa: PLC0415 - slow to import
-
+    """What one image sees: the depth along its optical axis, and the height above the water, or what z is else; what is
+    deep is dark. Grey where nothing is."""
     valid, unit = depth_map.valid, depth_map.length_unit
     height, width = (size * depth_map.step for size in valid.shape)
     figure = blank_figure(2.0 * PANEL_INCHES + 2.6, 1.1 + PANEL_INCHES * height / width)
     pictures = (
-        ("depth", f"depth along the optical axis ({unit})", depth_map.depth, DEPTH_COLORS),
-        (words.z, f"{words.height} ({unit})", depth_map.points[..., 2], HEIGHT_COLORS),
+        ("depth", f"depth along the optical axis ({unit})", depth_map.depth, height_colors().reversed()),
+        (words.z, f"{words.height} ({unit})", depth_map.points[..., 2], height_colors()),
     )
     for panel, (title, label, values, colors) in zip(figure.subplots(1, 2), pictures, strict=True):
         low, high = _ends(values[valid], 0.98)
         image = panel.imshow(
-            np.ma.masked_array(values.numpy(), ~valid.numpy()), cmap=colormaps[colors].with_extremes(bad=EMPTY),
+            np.ma.masked_array(values.numpy(), ~valid.numpy()), cmap=colors.with_extremes(bad=EMPTY),
             vmin=low, vmax=high, extent=(0, width, height, 0), interpolation="nearest",
         )  # fmt: skip
         panel.set_title(title, fontsize=11)

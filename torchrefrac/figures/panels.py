@@ -64,7 +64,7 @@ def draw_grid(
     columns: Sequence[Column],
     rows: Sequence[Row],
     truth: Truth | None,
-    colors: tuple[str, float, float, str],
+    colors: tuple[Any, float, float, str],
     path: Path,
 ) -> None:
     """A grid of panels, a column a reconstruction, and a row a way to look at it; colours: map, ends, label."""

@@ -9,7 +9,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.figures.plotting import ESTIMATE, PALE, TEXT, UNKNOWN, blank_figure, plain_axes, rounded, save
+from torchrefrac.figures.plotting import (
+    ESTIMATE,
+    PALE,
+    TEXT,
+    UNKNOWN,
+    blank_figure,
+    height_colors,
+    plain_axes,
+    rounded,
+    save,
+)
 from torchrefrac.scene.raster import Raster
 from torchrefrac.scene.wording import OF_WATER, Wording
 
@@ -127,7 +137,7 @@ def _draw_plan(panel: Any, raster: Raster, every: list[Profile], words: Wording)
     extent = (
         raster.x_west, raster.x_west + size * shown.shape[1], raster.y_north - size * shown.shape[0], raster.y_north
     )  # fmt: skip
-    panel.imshow(shown, extent=extent, cmap="viridis_r", interpolation="nearest")
+    panel.imshow(shown, extent=extent, cmap=height_colors().reversed(), interpolation="nearest")
     for profile in every:
         (x0, y0), (x1, y1) = profile.start, profile.end
         panel.plot((x0, x1), (y0, y1), color=TEXT, lw=1.2)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.dense.relief import relief
-from torchrefrac.figures.plotting import blank_figure, color_scale, save
+from torchrefrac.figures.plotting import blank_figure, color_scale, height_colors, save
 from torchrefrac.figures.side_views import INK
 from torchrefrac.scene.interfaces import SURFACE
 from torchrefrac.scene.raster import Raster
@@ -35,7 +35,7 @@ def draw_raster(raster: Raster, path: Path, words: Wording = OF_WATER) -> None:
     step = max(1, math.ceil(max(rows, columns) / MOST_PIXELS))
     depth, valid = raster.depth[::step, ::step].cpu(), raster.valid[::step, ::step].cpu()
     low, high, extend = _range(depth[valid])
-    colors = color_scale(low, high, "viridis_r")
+    colors = color_scale(low, high, height_colors().reversed())
 
     size = raster.cell_size
     width, height = max(columns, 1) * size, max(rows, 1) * size

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchrefrac.figures.plotting import blank_figure, color_scale, legend_above, legend_key, save
+from torchrefrac.figures.plotting import blank_figure, color_scale, height_colors, legend_above, legend_key, save
 from torchrefrac.geometry import Similarity
 from torchrefrac.scene import Scene, Truth
 from torchrefrac.scene.wording import OF_WATER, Wording, wording_of
@@ -60,17 +60,15 @@ def draw_side_views(views: Sequence[SideView], truth: Truth | None, path: Path) 
     save(side_views_figure(views, truth), path)
 
 
-def side_views_figure(
-    views: Sequence[SideView], truth: Truth | None, colors: Any = "jet_r", panel_inches: float = PANEL_INCHES
-) -> Any:
+def side_views_figure(views: Sequence[SideView], truth: Truth | None, panel_inches: float = PANEL_INCHES) -> Any:
     """The paper's Figure 1: reconstructions side by side, seen from the side, coloured by height.
 
-    Red is the lowest point, blue the highest (or by another colour map `colors`), on one scale for all panels, which
-    are about `panel_inches` wide; the true planes are drawn as lines. The direction of sight is the horizontal one
-    along which the true planes look thinnest (without truth: along y). What is seen through a wall has z, before the
-    glass, from left to right, and y upwards.
+    The lowest points are dark, the highest light, on one scale for all panels, which are about `panel_inches` wide; the
+    true planes are drawn as lines. The direction of sight is the horizontal one along which the true planes look
+    thinnest (without truth: along y). What is seen through a wall has z, before the glass, from left to right, and y
+    upwards.
     """
-    frame = SideFrame.of(views, truth, colors)
+    frame = SideFrame.of(views, truth, height_colors())
     lines = 0.2 * max(view.caption.count("\n") for view in views)
     figure = blank_figure(1.6 + panel_inches * len(views), 1.35 + lines + panel_inches * frame.tall)
     panels = figure.subplots(1, len(views), sharex=True, sharey=True, squeeze=False)[0]

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from torchrefrac.figures.attitude import attitude_figure, attitude_words, attitudes
 from torchrefrac.figures.cameras import cameras_figure
-from torchrefrac.figures.plotting import height_colors
 from torchrefrac.figures.residuals import Residuals, by_image_figure, by_incidence_figure
 from torchrefrac.figures.shift import shift_figure, shift_images, typical_depth, typical_range
 from torchrefrac.figures.side_views import SideView, side_view, side_views_figure
@@ -57,7 +56,7 @@ def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Draw
         caption += "; grey lines are the true planes." if has_planes else "."
     return Drawn(
         title="Figure 1. The scene from the side",
-        picture=png(side_views_figure(views, truth, height_colors(), PANELS_INCHES / min(max(len(views), 2), 3))),
+        picture=png(side_views_figure(views, truth, PANELS_INCHES / min(max(len(views), 2), 3))),
         alt=f"Side view of the points and cameras of {', '.join(view.title for view in views)}",
         caption=caption,
         look=f"Points should lie on the grey lines. Without refraction in the model {words.flat} comes out bent like a "
