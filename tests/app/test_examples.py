@@ -13,15 +13,20 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 RATIO = 1.33  # of the embedded scene, whose water level is 0
 
 
-@pytest.fixture
-def example():
-    """The module of examples/learn_water.py."""
-    spec = importlib.util.spec_from_file_location("learn_water", EXAMPLES / "learn_water.py")
+def _module(name):
+    """That of an example."""
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture
+def example():
+    """The module of examples/learn_water.py."""
+    return _module("learn_water")
 
 
 def test_a_few_steps_move_the_guess_of_the_index_ratio_towards_the_truth(example, monkeypatch, capsys):
@@ -48,6 +53,20 @@ def test_the_water_is_learnt_from_images(example, monkeypatch, capsys):
     assert truth == (RATIO, 0.0)
     assert abs(learnt[0] - RATIO) < 0.002
     assert abs(learnt[1]) < 0.1
+
+
+@pytest.mark.slow
+def test_a_radiance_field_is_learnt_with_refraction_and_without(monkeypatch, capsys, tmp_path):
+    """From so few steps nothing but heights can be told: without refraction all is too shallow or nowhere."""
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    monkeypatch.setattr(sys, "argv", ["radiance_field.py", "--steps", "60", "--out", str(tmp_path)])
+
+    _module("radiance_field").main()
+
+    heights = [float(line.split()[-2]) for line in capsys.readouterr().out.splitlines() if line.endswith(" cm")]
+    assert len(heights) == 3
+    assert heights[0] < heights[1]
+    assert (tmp_path / "radiance_field.png").is_file()
 
 
 def _reports(printed):
