@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -90,7 +91,7 @@ class RefractiveRays(Dataset[Rays]):
         if not chosen:
             raise ValueError(f"no photograph of {run} is of the split {split!r}; holdout is {holdout!r}")
         rows = [registered[i] for i in chosen]
-        self.cameras: NamedCameras = named_cameras(scene.of_views(_mask(len(scene.views), rows)))
+        self.cameras = _quick(named_cameras(scene.of_views(_mask(len(scene.views), rows))))
         self.names = self.cameras.names
         self.dtype = dtype
         self._refracts = scene.interfaces.refract()
@@ -181,6 +182,11 @@ class _Order(Sampler[Int[Tensor, " batch"]]):
         for start in range(0, self._count, self._batch):
             numbers = torch.arange(start, min(start + self._batch, self._count))
             yield numbers if self._seed is None else permuted(numbers, self._count, 1_000_003 * self._seed + epoch)
+
+
+def _quick(cameras: NamedCameras) -> NamedCameras:
+    """The same without distortion where there is none."""
+    return replace(cameras, intrinsics=cameras.intrinsics.without_idle_distortion(), check=False)
 
 
 def _mask(count: int, rows: Sequence[int]) -> Bool[Tensor, " count"]:
