@@ -51,6 +51,20 @@ def test_points_along_a_ray_bend_at_the_water(rays):
     assert across.max() < 1e-9
 
 
+def test_without_refraction_rays_are_straight_from_the_cameras(sparse, tmp_path):
+    run = shutil.copytree(sparse / "run", tmp_path / "run")
+    path = run / "cameras.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"index_ratio": 1.0}))
+    data = tr.RefractiveRays(run, cache=tmp_path / "cache", dtype=torch.float64)
+
+    found = data[torch.tensor([5, 70_000])]
+
+    assert torch.equal(found.refrax, found.origin)
+    pixels, _ = data.cameras[found.view].as_pinhole().project(found.origin + 3.0 * found.direction)
+    torch.testing.assert_close(pixels, found.pixel, rtol=0.0, atol=1e-6)
+    assert found.mask.all()
+
+
 def test_colors_are_those_of_the_photographs(sparse, rays):
     data = rays("all")
 

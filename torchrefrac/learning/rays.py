@@ -161,6 +161,7 @@ class RefractiveRays(Dataset[Rays]):
         refrax, _, direction, bent = camera.follow_rays(pixel)
         used = pixels[..., 3] > 0
         origin = camera.center_in_world.expand_as(refrax)
+        refrax = refrax if self._refracts else origin  # a plane that bends nothing may lie anywhere
         color = pixels[..., :3].to(self.dtype) / 255.0
         origin, refrax, direction, pixel = (part.to(self.dtype) for part in (origin, refrax, direction, pixel))
         return Rays(origin, refrax, direction, color, used & bent if self._refracts else used, view, pixel)
