@@ -282,9 +282,9 @@ def draw(results: dict[str, Result], path: Path) -> None:
     """Predicted photographs, and errors of height."""
     figure, axes = plt.subplots(2, len(results), figsize=(4.2 * len(results), 6.4), layout="constrained")
     for column, (name, result) in zip(axes.T, results.items(), strict=True):
-        column[0].imshow(result.image.clamp(0.0, 1.0))
+        column[0].imshow(result.image.clamp(0.0, 1.0).numpy())
         column[0].set_title(f"{name}: {result.psnr:.1f} dB")
-        shown = column[1].imshow(result.height_error, cmap="RdBu", vmin=-10.0, vmax=10.0)
+        shown = column[1].imshow(result.height_error.numpy(), cmap="RdBu", vmin=-10.0, vmax=10.0)
         column[1].set_title(f"heights: {result.height_rms:.2f} cm RMS")
         for axis in column:
             axis.set_axis_off()
