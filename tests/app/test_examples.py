@@ -55,20 +55,6 @@ def test_the_water_is_learnt_from_images(example, monkeypatch, capsys):
     assert abs(learnt[1]) < 0.1
 
 
-@pytest.mark.slow
-def test_a_radiance_field_is_learnt_with_refraction_and_without(monkeypatch, capsys, tmp_path):
-    """From so few steps nothing but heights can be told: without refraction all is too shallow or nowhere."""
-    monkeypatch.syspath_prepend(str(EXAMPLES))
-    monkeypatch.setattr(sys, "argv", ["radiance_field.py", "--steps", "60", "--out", str(tmp_path)])
-
-    _module("radiance_field").main()
-
-    heights = [float(line.split()[-2]) for line in capsys.readouterr().out.splitlines() if line.endswith(" cm")]
-    assert len(heights) == 3
-    assert heights[0] < heights[1]
-    assert (tmp_path / "radiance_field.png").is_file()
-
-
 def _reports(printed):
     """Index ratio and water level of every line."""
     return [(float(words[-5]), float(words[-2])) for words in map(str.split, printed.splitlines())]
