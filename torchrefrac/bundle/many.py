@@ -17,7 +17,7 @@ see: such a problem does not converge, and directions in which nothing changes t
 derivative of zero.
 """
 
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
@@ -27,6 +27,7 @@ from torch import Tensor
 from torchrefrac.bundle.rows import IMPOSSIBLE_PX
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.geometry import skew, so3_exp
+from torchrefrac.numerics import detached
 from torchrefrac.optim import LossName, minimize_each, robust
 
 MAX_DAMPING = 1e8
@@ -62,10 +63,6 @@ class BundleBatch:
         if self.cameras.shape != (problems, views):
             raise ValueError(f"cameras have batch shape {tuple(self.cameras.shape)}, but must have {(problems, views)}")
 
-    def detached(self) -> "BundleBatch":
-        """The same without a graph."""
-        return BundleBatch(**{field.name: _detached(getattr(self, field.name)) for field in fields(self)})
-
 
 class BatchReport(NamedTuple):
     """What problems were adjusted to: their cameras (b, m) and points, half the sums of their losses, square pixels,
@@ -99,11 +96,11 @@ def adjust_each(
     """
     rule = _Rule(loss, loss_scale, pixel_sigma, fixed)
     with torch.no_grad():
-        given = problems.detached()
+        given = detached(problems)
         search = _Search(given, rule)
         found = minimize_each(search, _State.of(given).packed(), max_iterations, tolerance, max_damping=MAX_DAMPING)
         state = search.state(found.states)
-    forces = _forces(problems, state, rule)
+    forces = _Forces.of(problems, state, _Seen.of_state(problems, state, rule), rule)
     pose, point = _Solve.apply(forces.by_view, forces.by_point, _Minimum(given, state, rule))
     anchored = state.moved(-pose, -point)
     cameras = replace(
@@ -119,6 +116,10 @@ class _Rule(NamedTuple):
     scale: float
     pixel_sigma: float
     fixed: Bool[Tensor, "m 6"] | None
+
+    def stiffness(self, problems: BundleBatch) -> float:
+        """What the squared error of gravity weighs, in square pixels."""
+        return (self.pixel_sigma / problems.down_sigma) ** 2
 
     def free(self, pose: Float[Tensor, "*b m 6"]) -> Float[Tensor, "*b m 6"]:
         """Zero where something stays."""
@@ -148,14 +149,6 @@ class _State(NamedTuple):
     def moved(self, pose: Float[Tensor, "b m 6"], point: Float[Tensor, "b n 3"]) -> "_State":
         """By left perturbations of rotations, radians, and by shifts."""
         return _State(so3_exp(pose[..., :3]) @ self.rotation, self.center + pose[..., 3:], self.points + point)
-
-
-class _Forces(NamedTuple):
-    """Gradients of costs, and the costs."""
-
-    by_view: Float[Tensor, "b m 6"]
-    by_point: Float[Tensor, "b n 3"]
-    cost: Float[Tensor, " b"]
 
 
 class _Seen(NamedTuple):
@@ -188,18 +181,30 @@ class _Seen(NamedTuple):
         cost = 0.5 * given * torch.where(possible, rho, impossible)
         return cls(by, error, torch.where(possible, given * weight, 0.0), cost)
 
+    @classmethod
+    def of_state(cls, problems: BundleBatch, state: _State, rule: _Rule) -> "_Seen":
+        return cls.of(problems, state.rotation[:, :, None], state.center[:, :, None], state.points[:, None], rule)
+
     @property
     def force(self) -> Float[Tensor, "b m n 9"]:
         """Of each observation: the gradient of half its loss in the pose and in the point."""
         return (self.by * (self.weight[..., None] * self.error)[..., None]).sum(dim=-2)
 
 
-def _forces(problems: BundleBatch, state: _State, rule: _Rule) -> _Forces:
-    seen = _Seen.of(problems, state.rotation[:, :, None], state.center[:, :, None], state.points[:, None], rule)
-    force, cost = seen.force, seen.cost.sum(dim=(1, 2))
-    pull, of_gravity = _gravity(problems, state.rotation, rule)
-    by_view = force[..., :6].sum(dim=2) + torch.nn.functional.pad(pull, (0, 3))
-    return _Forces(rule.free(by_view), force[..., 6:].sum(dim=1), cost + of_gravity.sum(dim=1))
+class _Forces(NamedTuple):
+    """Gradients of costs in all poses and points, and the costs."""
+
+    by_view: Float[Tensor, "b m 6"]
+    by_point: Float[Tensor, "b n 3"]
+    cost: Float[Tensor, " b"]
+
+    @classmethod
+    def of(cls, problems: BundleBatch, state: _State, seen: _Seen, rule: _Rule) -> "_Forces":
+        """Zero where something stays."""
+        force, (pull, of_gravity) = seen.force, _gravity(problems, state.rotation, rule)
+        by_view = force[..., :6].sum(dim=2) + torch.nn.functional.pad(pull, (0, 3))
+        cost = seen.cost.sum(dim=(1, 2)) + of_gravity.sum(dim=1)
+        return cls(rule.free(by_view), force[..., 6:].sum(dim=1), cost)
 
 
 def _gravity(
@@ -209,9 +214,31 @@ def _gravity(
     difference of both unit vectors. With a = R down, a turn w changes a by w x a."""
     if problems.down_in_cam is None:
         return rotation.new_zeros(rotation.shape[:-1]), rotation.new_zeros(rotation.shape[:-2])
-    stiffness, down = (rule.pixel_sigma / problems.down_sigma) ** 2, -rotation[..., 2]
+    stiffness, down = rule.stiffness(problems), -rotation[..., 2]
     off = down - problems.down_in_cam
     return stiffness * torch.linalg.cross(down, off, dim=-1), 0.5 * stiffness * off.square().sum(dim=-1)
+
+
+class _Blocks(NamedTuple):
+    """Second derivatives: of views, of points, and of pairs of them."""
+
+    views: Float[Tensor, "b m 6 6"]
+    points: Float[Tensor, "b n 3 3"]
+    cross: Float[Tensor, "b m n 6 3"]
+
+    @classmethod
+    def of(
+        cls, second: Float[Tensor, "b m n 9 9"], of_gravity: Float[Tensor, "b m 3 3"] | None, rule: _Rule
+    ) -> "_Blocks":
+        """Of each observation, and what gravity adds to those of rotations; zero for all that stays."""
+        views, cross = second[..., :6, :6].sum(dim=2), second[..., :6, 6:]
+        if of_gravity is not None:
+            views = views + torch.nn.functional.pad(of_gravity, (0, 3, 0, 3))
+        if rule.fixed is not None:
+            free = (~rule.fixed).to(views)
+            views = views * free[..., :, None] * free[..., None, :]
+            cross = cross * free[:, None, :, None]
+        return cls(views, second[..., 6:, 6:].sum(dim=1), cross)
 
 
 class _System(NamedTuple):
@@ -222,6 +249,10 @@ class _System(NamedTuple):
     views: Float[Tensor, "b m 6 6"]
     points: Float[Tensor, "b n 3 3"]
     cross: Float[Tensor, "b m n 6 3"]
+
+    @property
+    def blocks(self) -> _Blocks:
+        return _Blocks(self.views, self.points, self.cross)
 
     def where(self, these: Bool[Tensor, " b"], other: "_System") -> "_System":
         """Of some problems this one, of the others the other."""
@@ -249,28 +280,17 @@ class _Search(NamedTuple):
     def linearize(self, states: Float[Tensor, "b e"]) -> _System:
         """By Gauss and Newton."""
         state, rule, problems = self.state(states), self.rule, self.problems
-        seen = _Seen.of(problems, state.rotation[:, :, None], state.center[:, :, None], state.points[:, None], rule)
-        force = seen.force
+        seen = _Seen.of_state(problems, state, rule)
+        forces = _Forces.of(problems, state, seen, rule)
+        arm = skew(-state.rotation[..., 2])
+        of_gravity = None if problems.down_in_cam is None else rule.stiffness(problems) * (arm.mT @ arm)
         second = (seen.by * seen.weight[..., None, None]).mT @ seen.by
-        pull, of_gravity = _gravity(problems, state.rotation, rule)
-        by_view = force[..., :6].sum(dim=2) + torch.nn.functional.pad(pull, (0, 3))
-        views = second[..., :6, :6].sum(dim=2)
-        if problems.down_in_cam is not None:
-            arm = skew(-state.rotation[..., 2])
-            views[..., :3, :3] += (rule.pixel_sigma / problems.down_sigma) ** 2 * (arm.mT @ arm)
-        return _system(
-            seen.cost.sum(dim=(1, 2)) + of_gravity.sum(dim=1),
-            by_view,
-            force[..., 6:].sum(dim=1),
-            views,
-            second[..., 6:, 6:].sum(dim=1),
-            second[..., :6, 6:],
-            rule,
-        )
+        gradient = torch.cat((forces.by_view.flatten(1), forces.by_point.flatten(1)), dim=1)
+        return _System(forces.cost, gradient, *_Blocks.of(second, of_gravity, rule))
 
     def solve(self, model: _System, damping: Float[Tensor, " b"]) -> Float[Tensor, "b d"]:
         """Of (H + damping diag H) step = -gradient; zero where that is not positive definite."""
-        reduced = _Reduced.of(model, damping)
+        reduced = _Reduced.of(model.blocks, damping)
         pose, point = (part.flatten(1) for part in _parted(-model.gradient, self.problems))
         scale = reduced.matrix.diagonal(dim1=1, dim2=2).clamp(min=torch.finfo(pose.dtype).tiny).rsqrt()
         factor, info = torch.linalg.cholesky_ex(reduced.matrix * scale[:, :, None] * scale[:, None, :])
@@ -278,24 +298,6 @@ class _Search(NamedTuple):
         found = scale * torch.cholesky_solve(right[..., None], factor)[..., 0]
         step = reduced.with_points(found, point)
         return torch.where((info == 0)[:, None] & step.isfinite(), step, 0.0)
-
-
-def _system(
-    cost: Float[Tensor, " b"],
-    by_view: Float[Tensor, "b m 6"],
-    by_point: Float[Tensor, "b n 3"],
-    views: Float[Tensor, "b m 6 6"],
-    points: Float[Tensor, "b n 3 3"],
-    cross: Float[Tensor, "b m n 6 3"],
-    rule: _Rule,
-) -> _System:
-    """With zeros in all that stays."""
-    gradient = torch.cat((rule.free(by_view).flatten(1), by_point.flatten(1)), dim=1)
-    if rule.fixed is not None:
-        free = (~rule.fixed).to(views)
-        views = views * free[..., :, None] * free[..., None, :]
-        cross = cross * free[:, None, :, None]
-    return _System(cost, gradient, views, points, cross)
 
 
 class _Reduced(NamedTuple):
@@ -306,11 +308,11 @@ class _Reduced(NamedTuple):
     inverse: Float[Tensor, "b n 3 3"]
 
     @classmethod
-    def of(cls, system: _System, damping: Float[Tensor, " b"] | None = None) -> "_Reduced":
+    def of(cls, blocks: _Blocks, damping: Float[Tensor, " b"] | None = None) -> "_Reduced":
         """Points that nothing determines stand still, and so do poses."""
-        views, points = (_standing(_damped(block, damping)) for block in (system.views, system.points))
-        _, m, n, _, _ = system.cross.shape
-        cross = system.cross.permute(0, 1, 3, 2, 4).reshape(-1, 6 * m, 3 * n)
+        views, points = (_standing(_damped(block, damping)) for block in (blocks.views, blocks.points))
+        _, m, n, _, _ = blocks.cross.shape
+        cross = blocks.cross.permute(0, 1, 3, 2, 4).reshape(-1, 6 * m, 3 * n)
         inverse = torch.linalg.inv_ex(points)[0]
         matrix = -(_by_points(cross, inverse) @ cross.mT)
         matrix.unflatten(2, (m, 6)).unflatten(1, (m, 6)).diagonal(dim1=1, dim2=3).add_(views.permute(0, 2, 3, 1))
@@ -351,7 +353,7 @@ class _Minimum(NamedTuple):
         return self.rule.free(pose), point
 
     @torch.enable_grad()
-    def second_derivatives(self) -> _System:
+    def second_derivatives(self) -> _Blocks:
         """Observation by observation: row k of the second derivatives of all is the gradient of the sum of their k-th
         forces, as each has a pose and a point of its own."""
         problems, state, rule = self
@@ -364,16 +366,11 @@ class _Minimum(NamedTuple):
         )
         total = seen.force.flatten(0, 2).sum(dim=0)
         rows = [torch.cat(torch.autograd.grad(force, (pose, point), retain_graph=True), dim=-1) for force in total]
-        second = torch.stack(rows, dim=-2)
-        second = 0.5 * (second + second.mT)
-        views = second[..., :6, :6].sum(dim=2)
+        second, of_gravity = torch.stack(rows, dim=-2), None
         if problems.down_in_cam is not None:
-            stiffness = (rule.pixel_sigma / problems.down_sigma) ** 2
-            bend = stiffness * skew(problems.down_in_cam) @ skew(-state.rotation[..., 2])
-            views[..., :3, :3] -= 0.5 * (bend + bend.mT)
-        cost, force = seen.cost.sum(dim=(1, 2)), seen.force
-        blocks = views, second[..., 6:, 6:].sum(dim=1), second[..., :6, 6:]
-        return _system(cost, force[..., :6].sum(dim=2), force[..., 6:].sum(dim=1), *blocks, rule)
+            bend = skew(problems.down_in_cam) @ skew(-state.rotation[..., 2])
+            of_gravity = -0.5 * rule.stiffness(problems) * (bend + bend.mT)
+        return _Blocks.of(0.5 * (second + second.mT), of_gravity, rule)
 
 
 class _Solve(torch.autograd.Function):
@@ -417,14 +414,3 @@ def _standing(blocks: Float[Tensor, "b k s s"]) -> Float[Tensor, "b k s s"]:
     """With ones for the zeros in diagonals, of unknowns that nothing depends on."""
     diagonal = blocks.diagonal(dim1=-2, dim2=-1)
     return blocks + torch.diag_embed((diagonal == 0.0).to(blocks))
-
-
-def _detached(value: Any) -> Any:
-    """A tensor, or what is made of such, without a graph."""
-    if isinstance(value, Tensor):
-        return value.detach()
-    if isinstance(value, tuple | list):
-        return type(value)(map(_detached, value))
-    if not is_dataclass(value) or isinstance(value, type):
-        return value
-    return replace(value, check=False, **{field.name: _detached(getattr(value, field.name)) for field in fields(value)})

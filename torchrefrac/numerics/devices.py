@@ -1,6 +1,6 @@
 """Where tensors are worked on."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
 
@@ -28,22 +28,29 @@ def device_of(name: str) -> torch.device:
 def on_device(value: T, device: torch.device | str) -> T:
     """The same with all its tensors on a device: itself, or those in dataclasses, tuples, lists and mappings. What lies
     there is not copied."""
-    return _moved(value, device)
+    return _changed(value, lambda tensor: tensor.to(device))
 
 
-def _moved(value: Any, device: torch.device | str) -> Any:
+def detached(value: T) -> T:
+    """The same without a graph in its tensors: itself, or those in dataclasses, tuples, lists and mappings."""
+    return _changed(value, lambda tensor: tensor.detach() if tensor.requires_grad else tensor)
+
+
+def _changed(value: Any, change: Callable[[Tensor], Tensor]) -> Any:
+    """With other tensors, and itself where these are the same. What can be copied without a check is."""
     if isinstance(value, Tensor):
-        return value.to(device)
+        return change(value)
     if is_dataclass(value) and not isinstance(value, type):
         before = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
-        after = {name: _moved(part, device) for name, part in before.items()}
+        after = {name: _changed(part, change) for name, part in before.items()}
         changed = {name: part for name, part in after.items() if part is not before[name]}
-        return replace(value, **changed) if changed else value
+        unchecked = {"check": False} if "check" in type(value).__dataclass_fields__ else {}
+        return replace(value, **changed, **unchecked) if changed else value
     if isinstance(value, Mapping):
-        after = {key: _moved(part, device) for key, part in value.items()}
+        after = {key: _changed(part, change) for key, part in value.items()}
         return value if all(after[key] is part for key, part in value.items()) else after
     if isinstance(value, list | tuple):
-        parts = [_moved(part, device) for part in value]
+        parts = [_changed(part, change) for part in value]
         if all(one is other for one, other in zip(parts, value, strict=True)):
             return value
         return type(value)(*parts) if hasattr(value, "_fields") else type(value)(parts)

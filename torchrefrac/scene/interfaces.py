@@ -172,10 +172,6 @@ class Interfaces:
         """Whether rays are bent at planes that stand still, so that these show where the world is level to them."""
         return self.refract() and not self.move_with_camera
 
-    def detached(self) -> "Interfaces":
-        """The same without a graph."""
-        return replace(self, **{name: getattr(self, name).detach() for name in TENSORS})
-
     @classmethod
     def joined(cls, every: "Sequence[Interfaces]") -> "Interfaces":
         """Several tables as one; what is uncertain of any is of all."""

@@ -360,18 +360,6 @@ class Scene:
             return torch.zeros_like(self.placed)
         return self.placed & self.dry & ~self.above_water()
 
-    def detached(self) -> "Scene":
-        """The same without a graph."""
-        pose = Rigid(self.views.rotation.detach(), self.views.center.detach())
-        return replace(
-            self,
-            cameras=self.cameras.detached(),
-            views=replace(self.views, pose=pose),
-            interfaces=self.interfaces.detached(),
-            points=self.points.detach(),
-            observations=self.observations.detached(),
-        )
-
     def part(self, min_observations: int = 1, of: Bool[Tensor, " n"] | None = None) -> "Part":
         """Registered views, the points with so many accepted observations, and these observations. of: of these points
         alone, and the views that observe them."""

@@ -145,15 +145,6 @@ class Cameras:
             return self
         return replace(self, stated=None, **{name: torch.zeros_like(getattr(self, name)) for name in SIGMAS})
 
-    def detached(self) -> "Cameras":
-        """The same without a graph."""
-        return replace(
-            self,
-            focal=self.focal.detach(),
-            principal_point=self.principal_point.detach(),
-            distortion=self.distortion.detach(),
-        )
-
 
 def _padded(distortion: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch 8"]:
     """Coefficients of distortion, then zeros."""
@@ -264,8 +255,3 @@ class Observations:
     def precision(self) -> Float[Tensor, "*k"]:
         """1 / noise, or 1 for all."""
         return self.pixels.new_ones(()) if self.noise is None else 1.0 / self.noise
-
-    def detached(self) -> "Observations":
-        """The same without a graph."""
-        weight, noise = (None if values is None else values.detach() for values in (self.weight, self.noise))
-        return replace(self, pixels=self.pixels.detach(), weight=weight, noise=noise)
