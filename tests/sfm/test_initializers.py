@@ -56,12 +56,17 @@ def test_the_median_angle_of_a_pair_is_that_between_its_rays(survey_of, generato
     assert pose.median_angle == pytest.approx(float(expected), rel=1e-3)
 
 
+def _seen_by(survey, image, pixels, track):
+    """The true points of some tracks at these pixels of an image."""
+    return Resection(image, survey.basin.lens, pixels, survey.basin.points[track])
+
+
 @in_water_and_air
 def test_the_pose_of_an_image_is_found_in_spite_of_outliers_and_gravity_that_is_off(survey_of, generator, index_ratio):
     survey = survey_of(cameras=2, points=200, index_ratio=index_ratio, **{**HARD, "outliers": 0.3})
     pixels, right, track = survey.common(1)
 
-    pose = make_initializer(survey).absolute(1, survey.basin.lens, pixels, survey.basin.points[track], generator)
+    pose = make_initializer(survey).absolute(_seen_by(survey, 1, pixels, track), generator)
 
     assert (pose.inliers & right).sum() > 0.98 * right.sum()
     assert (pose.inliers & ~right).sum() <= 1
@@ -72,17 +77,17 @@ def test_the_pose_of_an_image_is_found_in_spite_of_outliers_and_gravity_that_is_
 @in_water_and_air
 def test_poses_of_some_images_are_those_that_each_has_alone(survey_of, index_ratio):
     survey = survey_of(cameras=3, points=150, index_ratio=index_ratio, **HARD)
-    initializer, lens = make_initializer(survey), survey.basin.lens
+    initializer = make_initializer(survey)
     seen = [(image, *survey.common(image)) for image in range(3)]
-    images = [Resection(image, lens, pixels, survey.basin.points[track]) for image, pixels, _, track in seen]
-    images.append(Resection(0, lens, images[0].pixels[:3], images[0].points[:3]))
+    images = [_seen_by(survey, image, pixels, track) for image, pixels, _, track in seen]
+    images.append(images[0]._replace(pixels=images[0].pixels[:3], points=images[0].points[:3]))
 
     found = initializer.absolute_each(images, [draws_of(1, i) for i in range(4)])
 
     assert found[3] is None
     assert initializer.absolute_each([], []) == []
     for i, image in enumerate(images[:3]):
-        alone = initializer.absolute(*image, draws_of(1, i))
+        alone = initializer.absolute(image, draws_of(1, i))
         assert torch.equal(found[i].inliers, alone.inliers)
         torch.testing.assert_close(found[i].center, alone.center, rtol=1e-12, atol=1e-12)
         torch.testing.assert_close(found[i].rotation, alone.rotation, rtol=1e-12, atol=1e-12)
@@ -96,9 +101,7 @@ def test_too_few_data_give_no_pose(survey_of, generator, index_ratio, count):
     initializer = make_initializer(survey)
 
     assert initializer.relative((0, 1), (first[:count], second[:count]), generator) is None
-    assert (
-        initializer.absolute(0, survey.basin.lens, first[:count], survey.basin.points[track[:count]], generator) is None
-    )
+    assert initializer.absolute(_seen_by(survey, 0, first[:count], track[:count]), generator) is None
 
 
 def test_random_pixels_give_no_pose_through_water_or_one_that_few_agree_with(survey_of, generator):
@@ -107,7 +110,7 @@ def test_random_pixels_give_no_pose_through_water_or_one_that_few_agree_with(sur
     initializer = make_initializer(survey)
 
     pair = initializer.relative((0, 1), (first, second), generator)
-    single = initializer.absolute(1, survey.basin.lens, second, survey.basin.points[track], generator)
+    single = initializer.absolute(_seen_by(survey, 1, second, track), generator)
 
     for pose in (pair, single):
         assert pose is None or pose.inliers.sum() < 20
@@ -120,8 +123,8 @@ def test_the_same_seed_gives_the_same_poses_to_the_last_bit(survey_of, index_rat
     initializer = make_initializer(survey)
 
     pairs = [initializer.relative((0, 1), (first, second), torch.Generator().manual_seed(5)) for _ in range(2)]
-    known = survey.basin.lens, second, survey.basin.points[track]
-    singles = [initializer.absolute(1, *known, torch.Generator().manual_seed(5)) for _ in range(2)]
+    known = _seen_by(survey, 1, second, track)
+    singles = [initializer.absolute(known, torch.Generator().manual_seed(5)) for _ in range(2)]
 
     for one, two in (pairs, singles):
         assert torch.equal(one.center, two.center)
@@ -135,7 +138,7 @@ def test_gravity_that_is_known_to_be_vague_widens_the_search(survey_of, generato
 
     def find(capture):
         initializer = RefractiveInitializer(capture, survey.basin.index_ratio, options)
-        return initializer.absolute(1, survey.basin.lens, pixels, survey.basin.points[track], generator)
+        return initializer.absolute(_seen_by(survey, 1, pixels, track), generator)
 
     assert find(survey.capture).inliers.sum() > 0.95 * len(pixels)
     assert find(replace(survey.capture, down_sigma=torch.full_like(survey.capture.height, 1e-6))) is None

@@ -352,12 +352,13 @@ class _Knowing(OneByOne, PoseInitializer):
     def index_ratio(self):
         return self.basin.index_ratio
 
-    def absolute(self, image, intrinsics, pixels, points, generator):
-        self.asked.append(image)
+    def absolute(self, image, generator):
+        number, _, pixels, _ = image
+        self.asked.append(number)
         if len(self.asked) == 1:
             return None
         everything = torch.ones(len(pixels), dtype=torch.bool)
-        return Pose(self.basin.rotation[image], self.basin.center[image], everything)
+        return Pose(self.basin.rotation[number], self.basin.center[number], everything)
 
 
 def _without(survey, image):

@@ -45,8 +45,9 @@ class Answering(OneByOne, PoseInitializer):
     def __init__(self, inliers):
         self.inliers, self.asked = inliers, None
 
-    def absolute(self, image, intrinsics, pixels, points, generator):
-        self.asked = image, pixels, points
+    def absolute(self, image, generator):
+        number, _, pixels, points = image
+        self.asked = number, pixels, points
         if self.inliers is None:
             return None
         return Pose(

@@ -27,7 +27,7 @@ class Agreeing(OneByOne):
         number = torch.arange(len(pixels[0]))
         return PairPose(None, None, number < self.inliers, 0.1, number >= len(number) - self.straight)
 
-    def absolute(self, image, intrinsics, pixels, points, generator):
+    def absolute(self, image, generator):
         raise AssertionError("nobody asks for one view")
 
 

@@ -7,19 +7,18 @@ from typing import Any
 import torch
 
 from torchrefrac.commands.densify import open_run
-from torchrefrac.commands.results import MODEL, require_replaceable
+from torchrefrac.commands.results import MODEL, require_replaceable, write_export_record
 from torchrefrac.commands.survey_products import require_place, require_surface, write_survey_products
 from torchrefrac.commands.training_sets import export_training_set
 from torchrefrac.config.clouds import TRAINING_SETS, ExportOptions
 from torchrefrac.files.cameras import CAMERAS, read_cameras
 from torchrefrac.files.colmap.model import STEMS, find_colmap, read_colmap, write_colmap
 from torchrefrac.files.dense import DenseFile
-from torchrefrac.files.paths import real_path
 from torchrefrac.files.run import DENSE_CLOUD, FOR_SURVEYS, RunRecord
 from torchrefrac.files.swap import alone, settle
 from torchrefrac.files.tracks import TRACKS, read_run
 from torchrefrac.files.viewpoints import viewpoints_of, write_angles, write_orientations
-from torchrefrac.files.water import WATER, read_water, write_water
+from torchrefrac.files.water import WATER, with_water, write_water
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Georeference, Interfaces, Scene, SceneError
 from torchrefrac.scene.interfaces import WALL
@@ -60,20 +59,9 @@ def export_run(options: ExportOptions, recorder: Recorder | None = None) -> dict
         if place is not None:
             scene = replace(scene, interfaces=_on_map(scene, place))
         write_water(scene, folder / WATER)
-        metrics = {
-            "status": "complete",
-            "stages": [],
-            "command": "export",
-            "run": str(real_path(options.run)),
-            "format": options.format,
-            "files": [*files, WATER],
-            "images": len(scene.views),
-            "length_unit": scene.length_unit,
-        }
-        if place is not None:
-            metrics["crs"] = place.name
-        RunRecord.of(folder, metrics).write()
-    return metrics
+        crs = {} if place is None else {"crs": place.name}
+        known = {"images": len(scene.views), "length_unit": scene.length_unit, **crs}
+        return write_export_record(folder, options.run, options.format, [*files, WATER], known)
 
 
 def _on_map(scene: Scene, place: Georeference) -> Interfaces:
@@ -105,10 +93,8 @@ def export_products(options: ExportOptions, recorder: Recorder) -> dict[str, Any
         require_replaceable(folder, "export", FOR_SURVEYS)
         known = write_survey_products(DenseFile(run / DENSE_CLOUD), scene, options.outputs, folder, recorder)
         files = [name for name in FOR_SURVEYS if (folder / name).is_file()]
-        about = {"status": "complete", "stages": [], "command": "export", "run": str(real_path(options.run))}
-        metrics = about | {"format": options.format, "files": files, "length_unit": scene.length_unit} | known
-        RunRecord.of(folder, metrics).write()
-    return metrics
+        known = {"length_unit": scene.length_unit} | known
+        return write_export_record(folder, options.run, options.format, files, known)
 
 
 def read_posed(folder: Path) -> Scene:
@@ -121,7 +107,5 @@ def read_posed(folder: Path) -> Scene:
         return scene.of_views(scene.views.registered)
     if find_colmap(folder / MODEL) is None or not (folder / WATER).is_file():
         raise SceneError(f"{folder} holds neither {CAMERAS} nor {MODEL}/ with {WATER}; name the folder of a run")
-    scene = read_colmap(folder / MODEL)
-    interfaces, rows = read_water(folder / WATER, scene.views.names)
-    unit = RunRecord.read(folder).length_unit or scene.length_unit
-    return replace(scene, interfaces=interfaces, views=replace(scene.views, interface=rows), length_unit=unit)
+    scene = with_water(read_colmap(folder / MODEL), folder / WATER)
+    return replace(scene, length_unit=RunRecord.read(folder).length_unit or scene.length_unit)

@@ -3,10 +3,11 @@ that no run has written."""
 
 import os
 import shutil
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import count, takewhile
 from pathlib import Path
+from typing import Any
 
 from torchrefrac.commands.dense_outputs import depth_map_files
 from torchrefrac.config import OptionError
@@ -104,6 +105,16 @@ def require_replaceable(folder: Path, command: str, names: Iterable[str]) -> Non
         return
     for name in _present(folder, (METRICS, *names)):
         raise OutRefusedError(f"{folder} holds {name}, which no {command} has written; name another folder as out")
+
+
+def write_export_record(
+    folder: Path, run: str, form: str, files: Sequence[str], known: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Write into metrics.json what was exported of a run, and what is known of that; returns it."""
+    about = {"status": "complete", "stages": [], "command": "export", "run": str(real_path(run))}
+    metrics = about | {"format": form, "files": list(files), **known}
+    RunRecord.of(folder, metrics).write()
+    return metrics
 
 
 def require_outside(folder: Path, capture: Path) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from torchrefrac.commands.densify import open_run
-from torchrefrac.commands.results import require_replaceable
+from torchrefrac.commands.results import require_replaceable, write_export_record
 from torchrefrac.config.clouds import ExportOptions
 from torchrefrac.config.options import OptionError
 from torchrefrac.dense.images import photographs
@@ -12,7 +12,6 @@ from torchrefrac.files.cameras import POINTS, write_points
 from torchrefrac.files.colmap.model import STEMS, write_colmap
 from torchrefrac.files.masks import IMAGES, MASKS, Masks
 from torchrefrac.files.paths import real_path
-from torchrefrac.files.run import RunRecord
 from torchrefrac.files.swap import alone
 from torchrefrac.files.transforms import TRANSFORMS, write_transforms
 from torchrefrac.files.water import WATER, write_water
@@ -43,18 +42,8 @@ def export_training_set(options: ExportOptions) -> dict[str, Any]:
             (folder / name).unlink(missing_ok=True)
             (folder / name).symlink_to(real_path(place), target_is_directory=True)
         write_water(scene, folder / WATER)
-        metrics = {
-            "status": "complete",
-            "stages": [],
-            "command": "export",
-            "run": str(real_path(options.run)),
-            "format": options.format,
-            "files": [*models, *links, WATER],
-            "images": len(scene.views),
-            "length_unit": scene.length_unit,
-        }
-        RunRecord.of(folder, metrics).write()
-    return metrics
+        known = {"images": len(scene.views), "length_unit": scene.length_unit}
+        return write_export_record(folder, options.run, options.format, [*models, *links, WATER], known)
 
 
 def _write(scene: Scene, options: ExportOptions, folder: Path, masks: dict[str, str]) -> None:
@@ -68,8 +57,7 @@ def _write(scene: Scene, options: ExportOptions, folder: Path, masks: dict[str, 
 
 def _folder_of(capture: Capture) -> Path:
     """That in which the photographs have their names."""
-    path, name = capture.paths[0], Path(capture.names[0])
-    folder = path.parents[len(name.parts) - 1]
+    folder = capture.photographs_folder
     for path, name in zip(capture.paths, capture.names, strict=True):
         if folder / name != path:
             raise OptionError(f"photograph {name} does not lie in {folder}, as others do; put all into one folder")

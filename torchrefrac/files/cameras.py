@@ -25,7 +25,7 @@ from torchrefrac.files.intrinsics import (
 from torchrefrac.files.ply import kind_of_coordinates, write_vertices
 from torchrefrac.files.swap import settle
 from torchrefrac.files.transforms import TRANSFORMS, read_transforms
-from torchrefrac.files.water import WATER, read_water
+from torchrefrac.files.water import WATER, with_water
 from torchrefrac.geometry import Rigid
 from torchrefrac.scene import (
     Assessment,
@@ -65,8 +65,7 @@ def load_cameras(run: str | Path) -> NamedCameras:
     settle(run)
     if run.is_dir() and not (run / CAMERAS).is_file() and (run / WATER).is_file():
         scene = read_transforms(run / TRANSFORMS) if (run / TRANSFORMS).is_file() else read_colmap(run)
-        interfaces, rows = read_water(run / WATER, scene.views.names)
-        return named_cameras(replace(scene, interfaces=interfaces, views=replace(scene.views, interface=rows)))
+        return named_cameras(with_water(scene, run / WATER))
     scene = read_cameras(run / CAMERAS if run.is_dir() else run)
     return named_cameras(scene.of_views(scene.views.registered))
 

@@ -40,7 +40,7 @@ class Masks:
         folder = self._capture.folder / MASKS
         unknown = _pictures(folder) - set(self.paths) if None in self.paths else set[Path]()
         if unknown:
-            images = self._capture.paths[0].parents[len(Path(self._capture.names[0]).parts) - 1]
+            images = self._capture.photographs_folder
             others = (path.relative_to(images).as_posix() for path in _pictures(images))
             unknown -= {place for name in others for place in _places(folder, name)}
         if unknown:

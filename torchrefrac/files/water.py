@@ -3,6 +3,7 @@
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -40,6 +41,12 @@ def read_water(path: str | Path, names: Sequence[str]) -> tuple[Interfaces, Int[
         ratio = torch.full((len(planes),), read_index_ratio(top), dtype=torch.float64)
         normal, offset = (torch.tensor(column, dtype=torch.float64) for column in zip(*planes, strict=True))
         return Interfaces(normal, offset, ratio), _planes_of(top, names, len(planes), "plane_of")
+
+
+def with_water(scene: Scene, path: str | Path) -> Scene:
+    """The scene behind the surfaces of `water.json`. Raises what `read_water` does."""
+    interfaces, rows = read_water(path, scene.views.names)
+    return replace(scene, interfaces=interfaces, views=replace(scene.views, interface=rows))
 
 
 def write_water(scene: Scene, path: str | Path) -> None:

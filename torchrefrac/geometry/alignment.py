@@ -25,11 +25,6 @@ class Similarity:
         """`cam_from_b` rotations of cameras given by `cam_from_a`."""
         return cam_from_a @ self.rotation.mT
 
-    def inverse(self) -> "Similarity":
-        """`a_from_b`."""
-        scale = 1.0 / self.scale
-        return Similarity(scale, self.rotation.mT, -scale * (self.translation @ self.rotation))
-
 
 def align_similarity(
     source: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"], weight: Float[Tensor, " n"] | None = None

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
@@ -87,7 +86,8 @@ class RefractiveRays(Dataset[Rays]):
         scene = open_run(Path(run), None if capture is None else str(capture)).scene
         registered = scene.views.registered.nonzero()[:, 0].tolist()
         names = [scene.views.names[view] for view in registered]
-        chosen = [i for i, name in enumerate(names) if _is_of(split, name, names, holdout)]
+        tested = set(sorted(names)[::holdout] if isinstance(holdout, int) else holdout)
+        chosen = [i for i, name in enumerate(names) if split == "all" or (name in tested) == (split == "test")]
         if not chosen:
             raise ValueError(f"no photograph of {run} is of the split {split!r}; holdout is {holdout!r}")
         rows = [registered[i] for i in chosen]
@@ -114,25 +114,6 @@ class RefractiveRays(Dataset[Rays]):
         inside = number - self._table.starts[view]
         place = torch.stack((inside % width, inside // width), dim=-1)
         return self._rays(self.cameras[view], place, self._table[number], view)
-
-    def with_cameras(self, cameras: RefractiveCamera) -> "RefractiveRays":
-        """The same photographs, seen by others of as many cameras (m), in the same order. Raises ValueError for another
-        number."""
-        if cameras.shape != self.cameras.shape:
-            raise ValueError(
-                f"cameras have batch shape {tuple(cameras.shape)}, but must have {tuple(self.cameras.shape)}"
-            )
-        other = copy(self)
-        other.cameras = NamedCameras(
-            cameras.intrinsics,
-            cameras.cam_from_world_rotation,
-            cameras.center_in_world,
-            cameras.interface,
-            check=False,
-            names=self.names,
-        )
-        other._refracts = bool(cameras.interface.refracts().any())
-        return other
 
     def image(self, view: int) -> Rays:
         """The rays of a whole photograph (height, width)."""
@@ -192,10 +173,3 @@ def _quick(cameras: NamedCameras) -> NamedCameras:
 
 def _mask(count: int, rows: Sequence[int]) -> Bool[Tensor, " count"]:
     return torch.zeros(count, dtype=torch.bool).index_fill(0, torch.tensor(rows), True)
-
-
-def _is_of(split: Split, name: str, names: Sequence[str], holdout: int | Sequence[str]) -> bool:
-    if split == "all":
-        return True
-    tested = sorted(names).index(name) % holdout == 0 if isinstance(holdout, int) else name in holdout
-    return tested == (split == "test")

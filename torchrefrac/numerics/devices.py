@@ -5,6 +5,7 @@ from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
 
 import torch
+from jaxtyping import Shaped
 from torch import Tensor
 
 AUTO = "auto"
@@ -36,7 +37,7 @@ def detached(value: T) -> T:
     return _changed(value, lambda tensor: tensor.detach() if tensor.requires_grad else tensor)
 
 
-def _changed(value: Any, change: Callable[[Tensor], Tensor]) -> Any:
+def _changed(value: Any, change: Callable[[Shaped[Tensor, "..."]], Shaped[Tensor, "..."]]) -> Any:
     """With other tensors, and itself where these are the same. What can be copied without a check is."""
     if isinstance(value, Tensor):
         return change(value)

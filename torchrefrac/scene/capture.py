@@ -110,6 +110,11 @@ class Capture:
         return float(self.cameras.focal[self.camera[list(images)]].mean(dim=-1).mean())
 
     @property
+    def photographs_folder(self) -> Path:
+        """That in which the first photograph has its name."""
+        return self.paths[0].parents[len(Path(self.names[0]).parts) - 1]
+
+    @property
     def index_ratio(self) -> float:
         """Index ratio n_water / n_air of the one interface. Raises CaptureError where there are several."""
         if len(self.interfaces) != 1:

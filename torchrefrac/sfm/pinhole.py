@@ -18,7 +18,7 @@ from torchrefrac.geometry import Rigid, level_rotation
 from torchrefrac.numerics import thin
 from torchrefrac.optim import LevenbergMarquardtOptions
 from torchrefrac.scene import Cameras, Capture, Interfaces, Observations, Scene, reprojection_errors
-from torchrefrac.sfm.pose import OneByOne, PairPose, Pixels, Pose, cameras_of, judge_pair, meet
+from torchrefrac.sfm.pose import OneByOne, PairPose, Pixels, Pose, Resection, cameras_of, judge_pair, meet
 from torchrefrac.sfm.rules import SfmOptions
 
 MIN_ESSENTIAL = 8
@@ -67,16 +67,10 @@ class PinholeInitializer(OneByOne):
         agree = torch.zeros_like(inliers).index_fill(0, fundamental_consensus(*pixels, options.max_error), True)
         return replace(found, inliers=agree | found.inliers, straight=None)
 
-    def absolute(
-        self,
-        image: int,
-        intrinsics: Intrinsics,
-        pixels: Float[Tensor, "k 2"],
-        points: Float[Tensor, "k 3"],
-        generator: torch.Generator,
-    ) -> Pose | None:
+    def absolute(self, image: Resection, generator: torch.Generator) -> Pose | None:
         self._seed(generator)
         options = self.options.ransac
+        _, intrinsics, pixels, points = image
         pose = pose_of_points(intrinsics, pixels, points, options.max_error, options.confidence)
         return pose and refine_pose(pose, pixels, points, intrinsics, self.options.bundle, options.max_error)
 

@@ -13,12 +13,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchrefrac.camera import Intrinsics, RefractiveCamera
+from torchrefrac.camera import RefractiveCamera
 from torchrefrac.geometry import Rigid
 from torchrefrac.minimal import triangulate
 from torchrefrac.scene import Cameras, Capture, Interfaces
 from torchrefrac.sfm.pinhole import PinholeInitializer
-from torchrefrac.sfm.pose import OneByOne, PairPose, Pixels, Pose, cameras_of, meet
+from torchrefrac.sfm.pose import OneByOne, PairPose, Pixels, Pose, Resection, cameras_of, meet
 from torchrefrac.sfm.rules import SfmOptions
 
 FAR = 60.0
@@ -99,19 +99,13 @@ class PortInitializer(OneByOne):
         center = self._apparent.centers(images, found.rotation, middle + scale * (found.center - middle))
         return replace(found, center=center, straight=None)
 
-    def absolute(
-        self,
-        image: int,
-        intrinsics: Intrinsics,
-        pixels: Float[Tensor, "k 2"],
-        points: Float[Tensor, "k 3"],
-        generator: torch.Generator,
-    ) -> Pose | None:
-        apparent, at = self._pinholes.capture.intrinsics_of(image), self._apparent.pixels(image, pixels)
-        found = self._pinholes.absolute(image, apparent, at, points, generator)
+    def absolute(self, image: Resection, generator: torch.Generator) -> Pose | None:
+        number = image.image
+        apparent, at = self._pinholes.capture.intrinsics_of(number), self._apparent.pixels(number, image.pixels)
+        found = self._pinholes.absolute(image._replace(intrinsics=apparent, pixels=at), generator)
         if found is None:
             return None
-        return replace(found, center=self._apparent.centers((image,), found.rotation[None], found.center[None])[0])
+        return replace(found, center=self._apparent.centers((number,), found.rotation[None], found.center[None])[0])
 
     @cached_property
     def _apparent(self) -> ApparentPinholes:

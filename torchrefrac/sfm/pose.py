@@ -71,16 +71,8 @@ class PoseInitializer(Protocol):
         that have about as many matches."""
         ...
 
-    def absolute(
-        self,
-        image: int,
-        intrinsics: Intrinsics,
-        pixels: Float[Tensor, "k 2"],
-        points: Float[Tensor, "k 3"],
-        generator: torch.Generator,
-    ) -> Pose | None:
-        """Pose of an image, whose camera has these intrinsics, that sees known points at these pixels, in their
-        unit."""
+    def absolute(self, image: Resection, generator: torch.Generator) -> Pose | None:
+        """Pose of an image, in the unit of the points that it sees."""
         ...
 
     def absolute_each(self, images: Sequence[Resection], generators: Sequence[torch.Generator]) -> list[Pose | None]:
@@ -99,18 +91,11 @@ class OneByOne:
     ) -> list[PairPose | None]:
         return [self.relative(*pair) for pair in zip(images, pixels, generators, strict=True)]
 
-    def absolute(
-        self,
-        image: int,
-        intrinsics: Intrinsics,
-        pixels: Float[Tensor, "k 2"],
-        points: Float[Tensor, "k 3"],
-        generator: torch.Generator,
-    ) -> Pose | None:
+    def absolute(self, image: Resection, generator: torch.Generator) -> Pose | None:
         raise NotImplementedError
 
     def absolute_each(self, images: Sequence[Resection], generators: Sequence[torch.Generator]) -> list[Pose | None]:
-        return [self.absolute(*image, generator) for image, generator in zip(images, generators, strict=True)]
+        return [self.absolute(*each) for each in zip(images, generators, strict=True)]
 
 
 def draws_of(seed: int, *images: int) -> torch.Generator:

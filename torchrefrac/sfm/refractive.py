@@ -90,15 +90,8 @@ class RefractiveInitializer:
             judged if judged.center is None else replace(judged, center=self._before_layers(judged.center, images[0]))
         )
 
-    def absolute(
-        self,
-        image: int,
-        intrinsics: Intrinsics,
-        pixels: Float[Tensor, "k 2"],
-        points: Float[Tensor, "k 3"],
-        generator: torch.Generator,
-    ) -> Pose | None:
-        return self.absolute_each([Resection(image, intrinsics, pixels, points)], [generator])[0]
+    def absolute(self, image: Resection, generator: torch.Generator) -> Pose | None:
+        return self.absolute_each([image], [generator])[0]
 
     def absolute_each(self, images: Sequence[Resection], generators: Sequence[torch.Generator]) -> list[Pose | None]:
         if not images:
