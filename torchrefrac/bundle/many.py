@@ -254,11 +254,6 @@ class _System(NamedTuple):
     def blocks(self) -> _Blocks:
         return _Blocks(self.views, self.points, self.cross)
 
-    def where(self, these: Bool[Tensor, " b"], other: "_System") -> "_System":
-        """Of some problems this one, of the others the other."""
-        parts = zip(self, other, strict=True)
-        return _System(*(torch.where(these.view(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in parts))
-
 
 class _Search(NamedTuple):
     """Problems as `minimize_each` wants them."""

@@ -20,7 +20,7 @@ from torchrefrac.dense.photometric import Agreement, Comparison
 from torchrefrac.dense.rays import PixelRays
 from torchrefrac.dense.scope import Scope
 from torchrefrac.dense.window import Window
-from torchrefrac.optim.batched import Quadratic, solve_damped
+from torchrefrac.optim.batched import Quadratic, solve_damped, where_each
 
 DAMPING = 1e-4
 MIN_SCALE = 0.4  # of an image against the reference: one that shows the surface smaller than this is not compared
@@ -109,7 +109,7 @@ class Attempts:
         moved = self.step.any(dim=-1) | (self.passes == 0)
         better = (moved & (tried.cost <= self.model.cost)) | self.ending
         states = torch.where(better[:, None], self.states + self.step, self.states)
-        model = tried.where(better, self.model)
+        model = where_each(better, tried, self.model)
         damping = torch.where(better, 0.1, 10.0) * self.damping
         step = solve_damped(model, damping)
         reach = torch.where(agreement.usable, agreement.motion, 0.0).amax(dim=1) * step.abs().amax(dim=1)

@@ -5,12 +5,13 @@ in the same pass: most steps are accepted, and one pass costs little more than t
 """
 
 import math
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+N = TypeVar("N", bound=tuple[Any, ...])
 LEAVING = 0.3  # of the problems must be done before it is worth leaving them behind
 
 
@@ -20,14 +21,6 @@ class Quadratic(NamedTuple):
     cost: Float[Tensor, " k"]
     gradient: Float[Tensor, "k d"]
     hessian: Float[Tensor, "k d d"]
-
-    def where(self, these: Bool[Tensor, " k"], other: "Quadratic") -> "Quadratic":
-        """Of some problems this one, of the rest the other."""
-        return Quadratic(
-            torch.where(these, self.cost, other.cost),
-            torch.where(these[:, None], self.gradient, other.gradient),
-            torch.where(these[:, None, None], self.hessian, other.hessian),
-        )
 
 
 class SmallProblems(Protocol):
@@ -39,17 +32,13 @@ class SmallProblems(Protocol):
 
 
 class Model(Protocol):
-    """Costs of K problems in D unknowns, their gradients, and whatever a step is solved from."""
+    """A named tuple of costs of K problems in D unknowns, their gradients, and whatever a step is solved from."""
 
     @property
     def cost(self) -> Float[Tensor, " k"]: ...
 
     @property
     def gradient(self) -> Float[Tensor, "k d"]: ...
-
-    def where(self, these: Bool[Tensor, " k"], other: Any) -> Any:
-        """Of some problems this one, of the rest the other."""
-        ...
 
 
 @runtime_checkable
@@ -132,11 +121,17 @@ def minimize_each(
         tried = problems.linearize(candidate)
         better = solved & tried.cost.isfinite() & (tried.cost <= current.cost) & ~done
         states = torch.where(better[:, None], candidate, states)
-        current = tried.where(better, current)
+        current = where_each(better, tried, current)
         damp = torch.where(better, 0.1 * damp, 10.0 * damp)
         stalled = stalled | (~done & (damp > max_damping))
     report = SmallReport(states, current, converged, stalled)
     return _together([*waiting, (rows, report)]) if waiting else report
+
+
+def where_each(these: Bool[Tensor, " k"], one: N, other: N) -> N:
+    """Of some of K problems the rows of the tensors of one named tuple, of the rest those of the other."""
+    pairs = zip(one, other, strict=True)
+    return type(one)(*(torch.where(these.view(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in pairs))
 
 
 def _promised(quadratic: Model, step: Float[Tensor, "k d"]) -> Float[Tensor, " k"]:

@@ -16,6 +16,7 @@ from torchrefrac.checks import require
 from torchrefrac.minimal.absolute_pose import unchecked_absolute_pose_2pt
 from torchrefrac.minimal.four_point import unchecked_relative_pose_4pt
 from torchrefrac.minimal.known_heading import unchecked_absolute_pose_known_heading, unchecked_relative_pose_3pt
+from torchrefrac.optim.batched import where_each
 from torchrefrac.ransac.coherence import are_coherent
 from torchrefrac.ransac.degeneracy import explain_absolute, explain_relative
 from torchrefrac.refinement import OneView, PoseData, TwoViews
@@ -46,9 +47,9 @@ class _Judged(NamedTuple):
     def unless_fewer_agree(self, refined: "_Judged", max_error: float) -> "_Judged":
         """What models were refined to, but those whose refinement has walked off their consensus as they were."""
         before, after = ((of.errors.squared < max_error * max_error).sum(dim=-1) for of in (self, refined))
-        fewer = (after < LEAST_SHARE * before)[:, None]
-        errors = (torch.where(fewer, old, new) for old, new in zip(self.errors, refined.errors, strict=True))
-        return _Judged(torch.where(fewer, self.models, refined.models), type(self.errors)(*errors))
+        fewer = after < LEAST_SHARE * before
+        models = torch.where(fewer[:, None], self.models, refined.models)
+        return _Judged(models, where_each(fewer, self.errors, refined.errors))
 
 
 class PoseEstimator(ABC, Generic[D]):
