@@ -24,7 +24,6 @@ from torchrefrac.bundle.options import BundleOptions
 from torchrefrac.bundle.problem import BundleProblem
 from torchrefrac.bundle.rows import INTRINSICS, differentiable_rows
 from torchrefrac.bundle.terms import Term
-from torchrefrac.numerics import detached
 from torchrefrac.optim import GaussNewtonInverse, Step, conjugate_gradients, robust
 from torchrefrac.scene import Scene
 
@@ -51,10 +50,10 @@ def adjust_differentiably(
     if options.jacobian != "exact":
         raise ValueError(f"options.jacobian is {options.jacobian!r}, but the gradients of a minimum need 'exact'")
     with torch.no_grad():
-        report = adjust(detached(scene), options, terms=terms, fixed=fixed)
+        report = adjust(scene.detached(), options, terms=terms, fixed=fixed)
     layout = report.problem.layout
     problem = BundleProblem.create(scene, layout, options, terms)
-    anchored = _with_given(detached(report.scene), scene, layout)
+    anchored = _with_given(report.scene.detached(), scene, layout)
     return layout.retract(anchored, _attach(problem, anchored))
 
 
@@ -83,7 +82,7 @@ def _with_given(found: Scene, given: Scene, layout: Layout) -> Scene:
 
 def _attach(problem: BundleProblem, solution: Scene) -> Step:
     """The step -H^-1 g, which is zero, but knows how it depends on everything."""
-    at = detached(solution)
+    at = solution.detached()
     with torch.no_grad():
         inverse = GaussNewtonInverse.of(problem.linearize(at).system)
     gradient = _gradient(problem, solution)

@@ -13,7 +13,7 @@ from torchrefrac.bundle.layout import Layout
 from torchrefrac.bundle.options import BundleOptions
 from torchrefrac.bundle.rows import RowModel, observation_rows
 from torchrefrac.bundle.terms import Term, expectations
-from torchrefrac.numerics import detached, morton_code
+from torchrefrac.numerics import morton_code
 from torchrefrac.optim import REDUCED_SIZE, Blocks, Linearized, SchurPlan, Step, linearize
 from torchrefrac.scene import Observations, Scene
 
@@ -92,7 +92,7 @@ class BundleProblem:
 
     def detached(self) -> "BundleProblem":
         """The same without a graph in the observations."""
-        return replace(self, seen=detached(self.seen), seen_reduced=detached(self.seen_reduced))
+        return replace(self, seen=self.seen.detached(), seen_reduced=self.seen_reduced.detached())
 
     def with_layout(
         self, scene: Scene, layout: Layout, options: BundleOptions, terms: Sequence[Term]

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchrefrac.geometry import Plane
-from torchrefrac.numerics import like
+from torchrefrac.numerics import detached, like
 from torchrefrac.refraction import FlatInterface
 from torchrefrac.refraction.interface import GLASS
 
@@ -171,6 +171,10 @@ class Interfaces:
     def stand_in_world(self) -> bool:
         """Whether rays are bent at planes that stand still, so that these show where the world is level to them."""
         return self.refract() and not self.move_with_camera
+
+    def detached(self) -> "Interfaces":
+        """The same without a graph."""
+        return detached(self)
 
     @classmethod
     def joined(cls, every: "Sequence[Interfaces]") -> "Interfaces":

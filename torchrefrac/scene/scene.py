@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrefrac.camera import Intrinsics, RefractiveCamera
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.geometry import Rigid, levelling, rotate
+from torchrefrac.numerics import detached
 from torchrefrac.scene.capture import Capture
 from torchrefrac.scene.findings import Finding
 from torchrefrac.scene.georeference import Georeference
@@ -359,6 +360,10 @@ class Scene:
         if self.dry is None:
             return torch.zeros_like(self.placed)
         return self.placed & self.dry & ~self.above_water()
+
+    def detached(self) -> "Scene":
+        """The same without a graph."""
+        return detached(self)
 
     def part(self, min_observations: int = 1, of: Bool[Tensor, " n"] | None = None) -> "Part":
         """Registered views, the points with so many accepted observations, and these observations. of: of these points

@@ -12,6 +12,7 @@ from torch.nn.functional import pad
 
 from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry import Rigid
+from torchrefrac.numerics import detached
 
 PLAIN, FISHEYE = "opencv", "fisheye"
 COEFFICIENTS = 8
@@ -145,6 +146,10 @@ class Cameras:
             return self
         return replace(self, stated=None, **{name: torch.zeros_like(getattr(self, name)) for name in SIGMAS})
 
+    def detached(self) -> "Cameras":
+        """The same without a graph."""
+        return detached(self)
+
 
 def _padded(distortion: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch 8"]:
     """Coefficients of distortion, then zeros."""
@@ -255,3 +260,7 @@ class Observations:
     def precision(self) -> Float[Tensor, "*k"]:
         """1 / noise, or 1 for all."""
         return self.pixels.new_ones(()) if self.noise is None else 1.0 / self.noise
+
+    def detached(self) -> "Observations":
+        """The same without a graph."""
+        return detached(self)
