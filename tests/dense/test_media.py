@@ -82,11 +82,15 @@ def test_the_second_medium_has_a_place_of_its_own_in_a_store():
         def save(self, image, patches):
             self[image] = patches
 
+        def room(self, count, views):
+            return count, views
+
     kept = Kept()
     PartOfStore(kept, 5).save(2, "patches")
     assert kept == {7: "patches"}
     assert PartOfStore(kept, 5).load(2) == "patches"
     assert PartOfStore(kept, 5).load(1) is None
+    assert PartOfStore(kept, 5).room(3, 2) == (3, 2)
 
 
 def test_what_an_image_sees_is_the_same_in_another_process(scene):

@@ -171,6 +171,23 @@ def test_no_store_keeps_nothing(patches):
     assert store.load(0) is None
 
 
+def test_room_is_no_file_that_anyone_sees(open_store, patches):
+    store = open_store()
+    room = store.room(len(patches) + 2, OPTIONS.views)
+    room.put(2, patches)
+
+    patches = replace(patches, pixels=patches.pixels.double())
+    _assert_same(room[torch.arange(2, len(room))], patches)
+    assert not room.points[:2].any()
+    assert [path.name for path in store.folder.iterdir()] == ["made_from.txt"]
+    store.clear()
+    _assert_same(room[torch.arange(2, len(room))], patches)
+
+
+def test_room_for_none_is_empty(open_store):
+    assert len(open_store().room(0, OPTIONS.views)) == 0
+
+
 class PowerError(Exception):
     """The power fails."""
 
@@ -189,6 +206,9 @@ class _Interrupting:
             raise PowerError
         self.saved += 1
         self.store.save(image, patches)
+
+    def room(self, count, views):
+        return self.store.room(count, views)
 
 
 @pytest.mark.parametrize("method", ["patch", "depthmap"])

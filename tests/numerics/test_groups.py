@@ -2,7 +2,7 @@
 
 import torch
 
-from torchrefrac.numerics import components, counted_in_runs, equal_before, first_equal, first_of_each
+from torchrefrac.numerics import components, counted_in_runs, equal_before, first_equal, first_of_each, joined
 
 
 def test_nodes_hang_together_along_edges_in_both_directions_and_lone_ones_by_themselves():
@@ -17,6 +17,22 @@ def test_without_edges_every_node_is_alone():
     none = torch.zeros(0, dtype=torch.long)
     assert components(none, none, 3).tolist() == [0, 1, 2]
     assert components(none, none, 0).tolist() == []
+
+
+def test_few_edges_join_what_many_do(generator):
+    first, second = torch.randint(0, 300, (2, 180), generator=generator) * 7
+
+    few = joined(first, second)
+
+    assert torch.equal(components(*few, 2100), components(first, second, 2100))
+    nodes, parts = len(torch.cat((first, second)).unique()), len(components(first, second, 2100).unique())
+    assert len(few[0]) == nodes - (parts - (2100 - nodes))
+
+
+def test_no_edges_join_nothing():
+    none = torch.zeros(0, dtype=torch.long)
+
+    assert [len(ends) for ends in joined(none, none)] == [0, 0]
 
 
 def test_the_first_of_each_group_stands_for_it():

@@ -74,6 +74,7 @@ def _benches(data: Path, ceres: Path | None) -> dict[str, list[str]]:
         "tracks": [],
         "matching": [],
         "many": [],
+        "fusing": ["--side", "4", "--width", "800"],
         "pairs": [],
         "verification": [],
         "scale": ["--views", "50,100"],

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrefrac.scene import Scene, largest_deviation
 
 NEIGHBOURS = 8
+AT_ONCE = 1 << 16  # points whose neighbours are looked for
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,8 @@ def common_deviations(points: Float[Tensor, "n 3"], scene: Scene) -> CommonDevia
     and the mean of the nearest tie points holds for what lies between them. Zero where the scene does not know it.
     """
     known = scene.assessment
-    nothing = CommonDeviations(points.new_zeros(len(points)), torch.zeros_like(points))
+    zero = points.new_zeros(1)
+    nothing = CommonDeviations(zero.expand(len(points)), zero.expand_as(points))
     if known.point_covariance is None or known.relative_covariance is None or not len(points):
         return nothing
     usable = scene.placed & known.point_covariance.isfinite().all(dim=(1, 2))
@@ -37,7 +39,10 @@ def common_deviations(points: Float[Tensor, "n 3"], scene: Scene) -> CommonDevia
         return nothing
     tree = KDTree(scene.points[usable].cpu().numpy())
     count = min(NEIGHBOURS, len(common))
-    _, found = tree.query(points.cpu().numpy(), k=count)
-    nearest = torch.from_numpy(found).reshape(len(points), count).to(common.device)
-    along = common.diagonal(dim1=1, dim2=2).clamp(min=0.0)[nearest].mean(dim=1).sqrt()
-    return CommonDeviations(largest_deviation(common).square()[nearest].mean(dim=1).sqrt().to(points), along.to(points))
+    values = torch.cat((largest_deviation(common).square()[:, None], common.diagonal(dim1=1, dim2=2).clamp(min=0.0)), 1)
+    found = points.new_empty(len(points), 4)
+    for rows in torch.arange(len(points)).split(AT_ONCE):
+        _, nearest = tree.query(points[rows].cpu().numpy(), k=count)
+        index = torch.from_numpy(nearest).reshape(len(rows), count).to(values.device)
+        found[rows] = values[index].mean(dim=1).sqrt().to(points)
+    return CommonDeviations(found[:, 0], found[:, 1:])

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.checks import TorchrefracError
 from torchrefrac.dense.common_errors import common_deviations
-from torchrefrac.dense.filling import METHODS, fill_views
+from torchrefrac.dense.filling import METHODS, fill_views, gathered
 from torchrefrac.dense.fusion import THICKNESS, fuse, of_surfaces, supported, unobstructing
 from torchrefrac.dense.images import Images, photographs
 from torchrefrac.dense.media import PartOfStore, media_of
@@ -25,6 +25,8 @@ from torchrefrac.dense.rays import PixelRays, depth_in
 from torchrefrac.dense.store import NoStore, Store
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import DenseCloud, DepthMap, Scene
+
+AT_ONCE = 1 << 16  # patches whose rays are cast
 
 
 class DenseError(TorchrefracError, RuntimeError):
@@ -69,7 +71,7 @@ def densify(
         if around:
             own = PartOfStore(store, i * len(scene.views)) if i else store
             parts[i] = _surface(medium.scene, images, around, options, recorder, own, executor)
-    patches = Patches.together(parts) if len(media) > 1 else parts[0]
+    patches = gathered(parts, sum(map(len, parts)), options.views, store) if len(media) > 1 else parts[0]
     colors = pictures[0].colors(patches.reference, patches.pixels)
     recorder.scalar("dense/points", len(patches), 0)
     rays = torch.cat([_rays(part, medium.scene) for part, medium in zip(parts, media, strict=False)])
@@ -79,10 +81,11 @@ def densify(
 
 def _rays(patches: Patches, scene: Scene) -> Float[Tensor, "n 3"]:
     """Directions of the viewing rays at the patches."""
-    if not len(patches):
-        return patches.points
-    rays = PixelRays.cast(scene.camera_of(patches.reference), patches.pixels)
-    return rays.direction_at(rays.distance_of(patches.points))
+    directions = torch.empty_like(patches.points)
+    for rows in torch.arange(len(patches)).split(AT_ONCE):
+        rays = PixelRays.cast(scene.camera_of(patches.reference[rows]), patches.pixels[rows])
+        directions[rows] = rays.direction_at(rays.distance_of(patches.points[rows]))
+    return directions
 
 
 def _surface(
@@ -102,12 +105,13 @@ def _surface(
             only_pairs = max(len(one.ids) for one in neighbourhoods.values()) == 2
             patches = fuse(patches, cameras, options.cell, 2 if only_pairs else min(options.min_views, 3) - 1)
         advance(1, "hidden patches")
-        patches = patches[unobstructing(patches, cameras, options.cell)]
+        rows = unobstructing(patches, cameras, options.cell).nonzero()[:, 0]
         advance(1, "lonely patches")
-        patches = patches[supported(patches, options.cell)]
-        patches = patches[of_surfaces(patches, options.cell)]
-        advance(1, f"{len(patches)} patches")
-    return patches
+        rows = rows[supported(patches, options.cell, rows)]
+        rows = rows[of_surfaces(patches, options.cell, rows)]
+        chosen = gathered((patches[some] for some in rows.split(AT_ONCE)), len(rows), options.views, store)
+        advance(1, f"{len(rows)} patches")
+    return chosen
 
 
 def depth_maps(dense: Dense, scene: Scene, options: DenseOptions) -> Iterator[DepthMap]:

@@ -2,7 +2,7 @@
 common."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass, replace
 from functools import partial
@@ -88,7 +88,7 @@ def fill_views(
 
         for place, view in enumerate(views):
             if (stored := store.load(view)) is not None:
-                found[place] = stored
+                found[place] = gathered([stored], len(stored), options.views, store)
                 advance(left[place], "")
         waiting = [place for place in range(len(views)) if place not in found]
         if executor is None:
@@ -96,12 +96,22 @@ def fill_views(
         else:
             finished = _side_by_side(waiting, needs, found, job_of, executor)
         for step, (place, patches) in enumerate(finished, start=len(found)):
-            found[place] = patches
+            found[place] = gathered([patches], len(patches), options.views, store)
             advance(left[place], "")
             store.save(views[place], patches)
             recorder.scalar("dense/patches", len(patches), step)
             recorder.scalar("dense/seconds", time.perf_counter() - start, step)
-    return Patches.together([Patches.empty(options.views), *(found[place] for place in range(len(views)))])
+    parts = [found[place] for place in range(len(views))]
+    return gathered(parts, sum(map(len, parts)), options.views, store)
+
+
+def gathered(parts: Iterable[Patches], count: int, views: int, store: Store) -> Patches:
+    """One table of several, `count` in all, compared with so many others, where the store has room."""
+    table, first = store.room(count, views), 0
+    for part in parts:
+        table.put(first, part)
+        first += len(part)
+    return table
 
 
 def _needs(order: Sequence[Neighbourhood]) -> list[list[int]]:

@@ -1,26 +1,21 @@
 """The patches of views that were each filled on their own as one surface, and which of these contradict others: they
 hide what is seen through them, or stand alone, one or few (PMVS's filters)."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
 from torchrefrac.dense.overlap import Finds
 from torchrefrac.dense.patches import Patches
 from torchrefrac.dense.rays import depth_in
-from torchrefrac.numerics import components
+from torchrefrac.dense.vicinity import NEAREST, Vicinity, vicinities
+from torchrefrac.numerics import components, joined
 
 SAME_REACH = 3.0  # cells within which the patch of another view must lie to be the same
-NEAREST = 12  # patches around one that it is judged by
-REACH = 4.0  # cells within which these must lie
 ISLAND = 30  # patches; fewer that hang together, away from all others, are a mistake that grew
-AT_ONCE = 1 << 15  # patches whose neighbours are looked at: those of all would take several times their memory
 THICKNESS = 4.0  # footprints within which two patches in one line of sight are the same surface
 
 
@@ -31,17 +26,19 @@ def fuse(patches: Patches, cameras: RefractiveCamera, cell: int, min_maps: int) 
     The mean is taken along the normal, weighted by 1 / sigma^2; sigma stays that of the better patch, as they share
     photographs.
     """
-    tables, sees = _tables(patches, cameras, cell), Finds.of(patches, cameras).sees
+    finds = Finds.of(patches, cameras)
+    tables = _tables(finds, cameras, cell)
     taken = torch.zeros(len(patches), dtype=torch.bool)
     chosen, points, sigma = [], [], []
     for image in range(cameras.shape[0]):
-        rows = ((patches.reference == image) & ~taken).nonzero()[:, 0]
+        rows = finds.found_by(image)
+        rows = rows[~taken[rows]]
         weight = patches.sigma[rows].square().reciprocal()
         total, moved = weight.clone(), torch.zeros_like(weight)
         best, maps = patches.sigma[rows], torch.ones_like(rows)
         found = []
         for other in range(cameras.shape[0]):
-            if other == image or not bool(sees[other, image]):
+            if other == image or not bool(finds.sees[other, image]):
                 continue
             match, offset, agrees = _found_again(patches, rows, cameras[other], tables[other], cell)
             share = torch.where(agrees, patches.sigma[match].square().reciprocal(), 0.0)
@@ -59,14 +56,14 @@ def fuse(patches: Patches, cameras: RefractiveCamera, cell: int, min_maps: int) 
     return replace(patches[torch.cat(chosen)], points=torch.cat(points), sigma=torch.cat(sigma))
 
 
-def _tables(patches: Patches, cameras: RefractiveCamera, cell: int) -> list[Int[Tensor, "rows columns"]]:
+def _tables(finds: Finds, cameras: RefractiveCamera, cell: int) -> list[Int[Tensor, "rows columns"]]:
     """For every view, the patch of each of its cells, -1 where there is none."""
     width, height = cameras.intrinsics.width, cameras.intrinsics.height
     tables = []
     for image in range(cameras.shape[0]):
-        rows = (patches.reference == image).nonzero()[:, 0]
+        rows = finds.found_by(image)
         table = torch.full((height // cell + 1, width // cell + 1), -1, dtype=torch.int32)
-        column, row = (patches.pixels[rows] / cell).long().unbind(dim=-1)
+        column, row = (finds.patches.pixels[rows] / cell).long().unbind(dim=-1)
         table[row, column] = rows.int()
         tables.append(table)
     return tables
@@ -87,53 +84,44 @@ def _found_again(
     valid = valid & (turned > 0.5)
     offset = (apart * patches.normals[match]).sum(dim=-1) / torch.where(valid, turned, 1.0)
     near = apart.norm(dim=-1) < SAME_REACH * cell * torch.maximum(patches.footprint[rows], patches.footprint[match])
-    thickness = torch.maximum(patches.thickness[rows], patches.thickness[match])
+    thickness = torch.maximum(patches.thickness_of(rows), patches.thickness_of(match))
     return match, offset, valid & near & (offset.abs() < thickness)
 
 
-def supported(patches: Patches, cell: int) -> Bool[Tensor, " n"]:
-    """Which patches lie on the planes of most of their neighbours, and these on theirs."""
-    count = len(patches)
-    if count <= NEAREST:
-        return torch.ones_like(patches.score, dtype=torch.bool)
-    return torch.cat([_agreeing(patches, *part) > NEAREST // 2 for part in _neighbours(patches, cell)])
+def supported(patches: Patches, cell: int, rows: Int[Tensor, " n"] | None = None) -> Bool[Tensor, " n"]:
+    """Which of some patches (of all) lie on the planes of most of their neighbours among them, and these on theirs."""
+    rows = torch.arange(len(patches)) if rows is None else rows
+    good = torch.ones(len(rows), dtype=torch.bool)
+    if len(rows) > NEAREST:
+        for around in vicinities(patches, rows, cell):
+            good[around.rows] = _agreeing(patches, rows, around) > NEAREST // 2
+    return good
 
 
-def _agreeing(
-    patches: Patches, rows: Int[Tensor, " k"], index: Int[Tensor, "k nearest"], near: Bool[Tensor, "k nearest"]
-) -> Int[Tensor, " k"]:
+def _agreeing(patches: Patches, rows: Int[Tensor, " n"], around: Vicinity) -> Int[Tensor, " k"]:
     """How many of the neighbours of some patches lie on their planes, and they on theirs."""
-    offset = patches.points[index] - patches.points[rows, None]
-    tolerance = patches.thickness[rows, None]
-    theirs = (offset * patches.normals[index]).sum(dim=-1).abs()
-    ours = (offset * patches.normals[rows, None]).sum(dim=-1).abs()
-    return (near & (theirs < tolerance) & (ours < 2.0 * tolerance)).sum(dim=1)
+    here, others = rows[around.rows], rows[around.others]
+    offset = patches.points[others] - patches.points[here, None]
+    tolerance = patches.thickness_of(here)[:, None]
+    theirs = (offset * patches.normals[others]).sum(dim=-1).abs()
+    ours = (offset * patches.normals[here, None]).sum(dim=-1).abs()
+    return (around.near & (theirs < tolerance) & (ours < 2.0 * tolerance)).sum(dim=1)
 
 
-def of_surfaces(patches: Patches, cell: int) -> Bool[Tensor, " n"]:
-    """Which patches hang together with ISLAND others and more, or with as many as any do where all are fewer."""
-    count = len(patches)
-    if count <= NEAREST:
-        return torch.ones_like(patches.score, dtype=torch.bool)
-    pairs = [
-        torch.stack((rows[near.nonzero()[:, 0]], index[near])).int() for rows, index, near in _neighbours(patches, cell)
-    ]
+def of_surfaces(patches: Patches, cell: int, rows: Int[Tensor, " n"] | None = None) -> Bool[Tensor, " n"]:
+    """Which of some patches (of all) hang together with ISLAND others of them and more, or with as many as any do where
+    all are fewer."""
+    rows = torch.arange(len(patches)) if rows is None else rows
+    if len(rows) <= NEAREST:
+        return torch.ones(len(rows), dtype=torch.bool)
+    pairs = []
+    for around in vicinities(patches, rows, cell):
+        first, second = joined(around.rows[around.near.nonzero()[:, 0]], around.others[around.near])
+        pairs.append(torch.stack((first, second)).int())
     first, second = torch.cat(pairs, dim=1)
-    island = components(first, second, count)
+    island = components(first, second, len(rows))
     size = torch.bincount(island)
-    return size[island] >= min(ISLAND, int(size.max()))
-
-
-def _neighbours(
-    patches: Patches, cell: int
-) -> Iterator[tuple[Int[Tensor, " k"], Int[Tensor, "k nearest"], Bool[Tensor, "k nearest"]]]:
-    """Some patches after the other, the nearest others of each, and which of these are near."""
-    points = patches.points.numpy()
-    tree = KDTree(points)
-    for rows in torch.arange(len(points)).split(AT_ONCE):
-        distance, index = (np.asarray(found) for found in tree.query(points[rows], k=NEAREST + 1, workers=1))
-        near = torch.from_numpy(distance[:, 1:]) < REACH * cell * patches.footprint[rows, None]
-        yield rows, torch.from_numpy(np.ascontiguousarray(index[:, 1:])), near
+    return (size >= min(ISLAND, int(size.max())))[island]
 
 
 def unobstructing(patches: Patches, cameras: RefractiveCamera, cell: int) -> Bool[Tensor, " n"]:

@@ -59,11 +59,12 @@ class Images:
 
     def colors(self, image: Int[Tensor, " n"], pixels: Float[Tensor, "n 2"]) -> UInt8[Tensor, "n 3"]:
         """RGB at pixels of images, each of which is read once."""
-        colors, (column, row) = torch.zeros(len(pixels), 3, dtype=torch.uint8), pixels.long().unbind(dim=-1)
-        for each in image.unique().tolist():
-            rows = (image == each).nonzero()[:, 0]
-            picture = torch.from_numpy(read_color(self.capture.paths[each]))
-            colors[rows] = picture[row[rows], column[rows]].flip(-1)
+        colors, order = torch.zeros(len(pixels), 3, dtype=torch.uint8), image.argsort(stable=True)
+        for each, rows in enumerate(order.split(image.bincount(minlength=1).tolist())):
+            if len(rows):
+                column, row = pixels[rows].long().unbind(dim=-1)
+                picture = torch.from_numpy(read_color(self.capture.paths[each]))
+                colors[rows] = picture[row, column].flip(-1)
         return colors
 
     def _grey(self, image: int) -> UInt8[Tensor, "height width"]:

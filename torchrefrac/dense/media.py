@@ -73,6 +73,9 @@ class PartOfStore:
     def save(self, image: int, patches: Patches) -> None:
         self.store.save(self.first + image, patches)
 
+    def room(self, count: int, views: int) -> Patches:
+        return self.store.room(count, views)
+
 
 def _of_points(scene: Scene, wanted: Bool[Tensor, " n"]) -> Scene:
     """The scene without the observations of all other points, none of which is dry any more."""

@@ -57,10 +57,14 @@ class Finds:
             sees[view, some] = may_see(cameras[view], low, high)
         return cls(patches, reference.argsort(stable=True), start, sees)
 
+    def found_by(self, view: int) -> Int[Tensor, " k"]:
+        """The rows of the patches that a view found, in order."""
+        return self.rows[self.start[view] : self.start[view + 1]]
+
     def seen_by(self, view: int) -> tuple[Int[Tensor, " k"], Patches]:
         """The patches that a view may see, and their rows, in order."""
         if bool(self.sees[view].logical_or(self.start.diff() == 0).all()):
             return torch.arange(len(self.patches)), self.patches
         found = self.sees[view].nonzero()[:, 0].tolist()
-        rows = torch.cat([self.rows[:0], *(self.rows[self.start[i] : self.start[i + 1]] for i in found)]).sort().values
+        rows = torch.cat([self.rows[:0], *map(self.found_by, found)]).sort().values
         return rows, self.patches[rows]

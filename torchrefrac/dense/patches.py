@@ -1,10 +1,12 @@
 """Patches: small oriented pieces of surface, each found in a pixel of its reference image."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from torchrefrac.camera import RefractiveCamera
@@ -49,10 +51,14 @@ class Patches:
         """Some of them, by a mask or indices."""
         return Patches(*(getattr(self, f.name)[rows] for f in fields(self)))
 
-    @property
-    def thickness(self) -> Float[Tensor, " n"]:
-        """How far off its plane another patch of the same surface may lie: a footprint, or 3 sigma."""
-        return torch.maximum(self.footprint, 3.0 * self.sigma)
+    def put(self, first: int, others: "Patches") -> None:
+        """Take the values of others from the first row on."""
+        for f in fields(self):
+            getattr(self, f.name)[first : first + len(others)] = getattr(others, f.name)
+
+    def thickness_of(self, rows: Int[Tensor, " k"]) -> Float[Tensor, " k"]:
+        """How far off the planes of some of them another patch of the same surface may lie: a footprint, or 3 sigma."""
+        return torch.maximum(self.footprint[rows], 3.0 * self.sigma[rows])
 
     def seen_by(self, view: int | Int[Tensor, ""]) -> Bool[Tensor, " n"]:
         """Which of them their own comparison has shown to be seen by a view, or to be found in it."""
@@ -92,10 +98,16 @@ class Patches:
     @classmethod
     def empty(cls, views: int, device: torch.device | None = None) -> "Patches":
         """None, compared with so many others."""
-        counts = torch.zeros(0, dtype=torch.long, device=device)
-        numbers = torch.zeros(0, dtype=torch.float64, device=device)
-        vectors, table = numbers.view(0, 1).expand(0, 3), counts.view(0, 1).expand(0, views)
-        return cls(counts, vectors[:, :2], vectors, vectors, numbers, numbers, numbers, table, table > 0)
+        return cls.room(0, views, partial(torch.zeros, device=device))
+
+    @classmethod
+    def room(cls, count: int, views: int, zeros: Callable[..., Shaped[Tensor, "..."]] = torch.zeros) -> "Patches":
+        """Room for so many, compared with so many others. zeros: makes a tensor of a shape and, by name, a dtype."""
+        counts, numbers = partial(zeros, dtype=torch.long), partial(zeros, dtype=torch.float64)
+        return cls(
+            counts((count,)), numbers((count, 2)), numbers((count, 3)), numbers((count, 3)), numbers((count,)),
+            numbers((count,)), numbers((count,)), counts((count, views)), zeros((count, views), dtype=torch.bool),
+        )  # fmt: skip
 
     @classmethod
     def together(cls, parts: list["Patches"]) -> "Patches":

@@ -1,5 +1,6 @@
 """Finished views of a dense reconstruction, stored so that an interrupted one goes on where it stopped."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -12,6 +13,7 @@ from torchrefrac.dense.images import photographs
 from torchrefrac.dense.options import DenseOptions
 from torchrefrac.dense.patches import Patches
 from torchrefrac.files.fingerprint import fingerprint_of
+from torchrefrac.files.mapped import mapped
 from torchrefrac.files.masks import MASKS
 from torchrefrac.files.npz import read_arrays, write_arrays
 from torchrefrac.files.work import DamagedPartError
@@ -32,6 +34,10 @@ class Store(Protocol):
 
     def save(self, image: int, patches: Patches) -> None: ...
 
+    def room(self, count: int, views: int) -> Patches:
+        """Room for so many patches, compared with so many others, that need not lie in memory."""
+        ...
+
 
 class NoStore:
     """Stores nothing."""
@@ -40,6 +46,9 @@ class NoStore:
         return None
 
     def save(self, image: int, patches: Patches) -> None: ...
+
+    def room(self, count: int, views: int) -> Patches:
+        return Patches.room(count, views)
 
 
 class FolderStore:
@@ -67,6 +76,9 @@ class FolderStore:
 
     def save(self, image: int, patches: Patches) -> None:
         write_arrays({name: getattr(patches, name).numpy() for name in ARRAYS}, self._path(image))
+
+    def room(self, count: int, views: int) -> Patches:
+        return Patches.room(count, views, partial(mapped, folder=self.folder))
 
     def clear(self) -> None:
         """Remove all files, and the folder."""
@@ -96,6 +108,9 @@ class CountingStore:
     def save(self, image: int, patches: Patches) -> None:
         self._new += len(patches)
         self._store.save(image, patches)
+
+    def room(self, count: int, views: int) -> Patches:
+        return self._store.room(count, views)
 
     def metrics(self, seconds: float) -> dict[str, Any]:
         """How many patches there were before any was filtered out, and how fast they were found."""

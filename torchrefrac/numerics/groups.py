@@ -17,6 +17,14 @@ def components(first: Int[Tensor, " e"], second: Int[Tensor, " e"], count: int) 
     return torch.from_numpy(label.astype(np.int64)).to(first.device)
 
 
+def joined(first: Int[Tensor, " e"], second: Int[Tensor, " e"]) -> tuple[Int[Tensor, " f"], Int[Tensor, " f"]]:
+    """As few edges as join what these edges join: each node but one of every component with the one."""
+    nodes, ends = torch.unique(torch.cat((first, second)), return_inverse=True)
+    root = first_of_each(components(ends[: len(first)], ends[len(first) :], len(nodes)))
+    inner = (root != torch.arange(len(nodes), device=root.device)).nonzero()[:, 0]
+    return nodes[inner], nodes[root[inner]]
+
+
 def first_of_each(group: Int[Tensor, " n"]) -> Int[Tensor, " n"]:
     """For each of n things the first one of its group, groups being numbered from 0."""
     ids = torch.arange(len(group), device=group.device)
