@@ -24,7 +24,8 @@ from torchrefrac.files import swap
 from torchrefrac.files.capture import load_capture
 from torchrefrac.files.run import RunRecord
 from torchrefrac.files.swap import FolderInUseError, alone, settle
-from torchrefrac.files.tracks import read_scene
+from torchrefrac.files.tracks import read_run, read_scene
+from torchrefrac.files.water import with_water
 
 RUN = ("scene=capture", "scene.path=capture", "out=run")
 DENSE = ("dense=depthmap", "dense.cell=24", "outputs.mesh=false", "outputs.raster=false", "outputs.depth_maps=false")
@@ -183,6 +184,33 @@ def test_earlier_results_can_be_read_until_the_new_ones_are_complete(torchrefrac
     assert after["metrics.json"] != before["metrics.json"]
     assert RunRecord.read(place / "run").overrides["scene.path"] == "capture"
     assert not any(name.startswith(".torchrefrac") for name in after)
+
+
+def test_a_run_leaves_its_scene_as_a_colmap_model_too(torchrefrac, place, known_sparse):
+    torchrefrac(*RUN, "colmap=true")
+
+    run = place / "run"
+    assert {path.name for path in (run / "colmap").iterdir()} == {"cameras.bin", "images.bin", "points3D.bin"}
+    ours, theirs = read_run(run), with_water(read_scene(run / "colmap"), run / "water.json")
+    assert theirs.views.names == ours.views.names
+    assert theirs.interfaces.index_ratio == ours.interfaces.index_ratio
+    torch.testing.assert_close(theirs.views.center, ours.views.center, rtol=0.0, atol=1e-9)
+
+    torchrefrac(*RUN)
+    assert not (run / "colmap").exists()
+    assert not (run / "water.json").exists()
+    assert (run / "notes.txt").read_text() == "mine"
+
+
+def test_a_colmap_model_that_no_run_wrote_stays(torchrefrac, place, known_sparse):
+    (place / "run" / "water.json").write_text("{}")
+    before = _files(place)
+
+    refused = torchrefrac(*RUN, "colmap=true")
+
+    assert refused.status == 1
+    assert "run holds water.json, which no run has written" in refused.err
+    assert _files(place) == before
 
 
 @pytest.mark.parametrize("command", [RUN, ("adjust", "alignment=old", "out=run"), ("densify", "run=run")])

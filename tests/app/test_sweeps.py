@@ -116,7 +116,7 @@ def test_a_job_that_cannot_be_composed_says_why_and_the_others_run(torchrefrac, 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["model=none,radial", "bogus=1"], "bogus is not an option; known here are cache, compare_land, dense,"),
+        (["model=none,radial", "bogus=1"], "bogus is not an option; known here are cache, colmap, compare_land,"),
         (["model=none,radial", "scene=pond"], "scene is 'pond', but must be one of aquarium, cans,"),
         (["model=none,radial", "water.index_ratio={"], "'water.index_ratio={' is not understood"),
         (["model=none,radial", "out=a,b"], "out=a,b has several values, but a sweep has one out"),

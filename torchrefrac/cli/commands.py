@@ -67,7 +67,7 @@ def reconstruct_into(folder: Path, options: RunOptions, settings: Any, config: D
     if isinstance(options.scene, FolderOptions):
         require_outside(folder, scene_folder(options.scene, None, SilentRecorder()))
     require_not_replaced(folder, "survey", options.reconstruction.survey)
-    with memory_lack_explained(), results_in(folder) as place:
+    with memory_lack_explained(), results_in(folder, with_model=options.reconstruction.colmap) as place:
         told = {"config": config, "hydra": {"hydra": settings}, "overrides": settings.overrides.task}
         for name, content in told.items():
             _save(content, place / OPTIONS / f"{name}.yaml", resolve=False)
@@ -100,7 +100,7 @@ def adjust(config: DictConfig) -> None:
     try:
         options = adjust_options(config)
         require_apart(options, folder)
-        with memory_lack_explained(), results_in(folder, adjusts=True) as place:
+        with memory_lack_explained(), results_in(folder, with_model=True) as place:
             _adjust(options, config, place)
             _report(place, options.report)
     except EXPECTED as error:

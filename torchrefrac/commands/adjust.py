@@ -8,35 +8,25 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
-from torchrefrac.commands.results import (
-    MODEL,
-    OF_ADJUST,
-    OutRefusedError,
-    require_not_replaced,
-    require_own,
-    run_record,
-)
-from torchrefrac.commands.run_folder import RunFolder
+from torchrefrac.commands.results import MODEL, OutRefusedError, require_not_replaced, run_record
+from torchrefrac.commands.run_folder import RunFolder, write_model, write_scene
 from torchrefrac.config import FRESH_WATER, LEVEL, AdjustOptions, OptionError, PlaneOptions
 from torchrefrac.evaluate.metrics import evaluate
 from torchrefrac.evaluate.survey_consistency import survey_contradictions
 from torchrefrac.evaluate.survey_metrics import survey_metrics
 from torchrefrac.evaluate.water_levels import slope_metrics
-from torchrefrac.files.cameras import CAMERAS, write_cameras, write_points
+from torchrefrac.files.cameras import CAMERAS
 from torchrefrac.files.capture import load_capture
-from torchrefrac.files.colmap.model import find_colmap, read_ids, write_colmap
+from torchrefrac.files.colmap.model import find_colmap, read_ids
 from torchrefrac.files.colmap.tables import Ids
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.run import RunRecord
 from torchrefrac.files.survey import read_survey
-from torchrefrac.files.tracks import read_scene, write_tracks
+from torchrefrac.files.tracks import read_scene
 from torchrefrac.files.truth import load_truth
-from torchrefrac.files.water import WATER, read_water, write_water
+from torchrefrac.files.water import WATER, read_water
 from torchrefrac.geometry import Similarity
-from torchrefrac.numerics import segment_sum
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Interfaces, Scene, Survey, Truth
 from torchrefrac.sfm import (
@@ -52,8 +42,6 @@ from torchrefrac.sfm import (
 from torchrefrac.sfm.frame import transformed
 from torchrefrac.sfm.positions import surveyed
 from torchrefrac.sfm.stated_levels import StatedLevels
-
-TRACKS = "tracks.npz"
 
 
 def adjust(
@@ -83,13 +71,11 @@ def adjust_run(options: AdjustOptions, recorder: Recorder, folder: Path) -> dict
     replace what was given.
     """
     require_apart(options, folder)
-    require_own(folder, adjusts=True)
-    files, given = RunFolder(folder), run_record(Path(options.alignment))
+    files, given = RunFolder(folder, with_model=True), run_record(Path(options.alignment))
     about = {"command": "adjust", "source": str(real_path(options.alignment))}
     if given is not None and given.capture is not None:
         about["capture"] = str(given.capture)
     with files.recording(**about), _stage(files, "adjusting"):
-        _remove_results(folder)
         scene = read_scene(options.alignment)
         truth = _truth(options, given)
         names = scene.views.names
@@ -136,12 +122,6 @@ def _stage(files: RunFolder, name: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     files.stage_done(name, None, time.perf_counter() - start)
-
-
-def _remove_results(folder: Path) -> None:
-    """Those of an earlier adjustment that a `RunFolder` does not know."""
-    for name in OF_ADJUST:
-        (folder / name).unlink(missing_ok=True)
 
 
 def _truth(options: AdjustOptions, run: RunRecord | None) -> Truth | None:
@@ -290,17 +270,8 @@ def _lost(scene: Scene) -> dict[str, Any]:
 
 
 def _write(scene: Scene, folder: Path, binary: bool, ids: Ids | None) -> None:
-    write_colmap(scene, folder / MODEL, binary, _point_errors(scene), ids)
-    write_water(scene, folder / WATER)
-    write_points(scene.points, scene.colors, folder / "points.ply", scene.assessment, scene.dry)
-    write_tracks(scene, folder / TRACKS)
-    write_cameras(scene, folder / CAMERAS)
-
-
-def _point_errors(scene: Scene) -> Float[Tensor, " n"]:
-    """Mean reprojection error of each point, pixels."""
-    point, n = scene.observations.point, len(scene.points)
-    return segment_sum(scene.errors()[:, None], point, n)[:, 0] / torch.bincount(point, minlength=n)
+    write_model(scene, folder, binary, ids)
+    write_scene(scene, folder)
 
 
 def _above_level_water(scene: Scene) -> Scene:

@@ -126,7 +126,7 @@ def run(
     require_place(options.outputs, capture.georeference or survey.georeference)
     if options.outputs.for_surveys:
         require_surface(capture.interfaces)
-    files, pictures = RunFolder(folder), StagePictures(capture, recorder)
+    files, pictures = RunFolder(folder, options.colmap), StagePictures(capture, recorder)
     gravity = with_measured(capture, survey).gravity_metrics
 
     def stage_done(name: str, product: Any, seconds: float) -> None:

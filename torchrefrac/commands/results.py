@@ -22,7 +22,7 @@ MODEL, REPORT, OPTIONS = "colmap", "report.html", ".hydra"
 RESULTS = ("features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png")
 FURTHER, SCENE_FILES = "reconstructions", ("cameras.json", "points.ply", "tracks.npz")
 """Of a run that falls into several: the metric that has them, and what is written of each beside the largest."""
-OF_ADJUST = (WATER, *(f"{MODEL}/{stem}{end}" for stem in STEMS for end in (".txt", ".bin")))
+MODEL_FILES = (WATER, *(f"{MODEL}/{stem}{end}" for stem in STEMS for end in (".txt", ".bin")))
 ABOUT = (METRICS, REPORT, LOG, EVENTS, OPTIONS, WORK)  # what a folder without results may hold where nobody works
 OWN_FOLDERS = (DEPTH_MAPS, MODEL, EVENTS, OPTIONS, WORK, PARTIAL)
 
@@ -32,13 +32,13 @@ class OutRefusedError(OptionError):
 
 
 @contextmanager
-def results_in(folder: Path, *, adjusts: bool = False, goes_on: bool = False) -> Generator[Path, None, None]:
+def results_in(folder: Path, *, with_model: bool = False, goes_on: bool = False) -> Generator[Path, None, None]:
     """The folder to work in so that the results lie in `folder` at the end.
 
     It is `folder` itself where no results lie there; else a folder inside, whose files take the place of those of
     earlier runs, as a whole, when the block has ended. Where the block fails, what there was stays, unless it was not
-    complete either and no more stages were. adjusts: what `torchrefrac adjust` writes is written. goes_on: all but
-    the dense results is copied first, as only these are made anew.
+    complete either and no more stages were. with_model: a COLMAP model is written, too. goes_on: all but the dense
+    results is copied first, as only these are made anew.
 
     Raises FolderInUseError where another process works there, OutRefusedError where results would take the place of
     files that no run has written; nothing is changed then.
@@ -46,12 +46,12 @@ def results_in(folder: Path, *, adjusts: bool = False, goes_on: bool = False) ->
     folder.mkdir(parents=True, exist_ok=True)
     with alone(folder):
         finish(folder)
-        require_own(folder, adjusts, dense_alone=goes_on)
+        require_own(folder, with_model, dense_alone=goes_on)
         before = run_record(folder)
-        if before is None or not any(_results(folder, _adjusted(before))):
+        if before is None or not any(_results(folder, has_model(before))):
             yield folder
             return
-        earlier, place = [*_results(folder, _adjusted(before)), *_about(folder)], folder / PARTIAL
+        earlier, place = [*_results(folder, has_model(before)), *_about(folder)], folder / PARTIAL
         _begin(place, earlier, before, goes_on)
         try:
             yield place
@@ -83,16 +83,16 @@ def holds_nothing(folder: Path) -> bool:
     return own and {path.name for path in folder.iterdir()} <= set(ABOUT)
 
 
-def require_own(folder: Path, adjusts: bool = False, dense_alone: bool = False) -> None:
+def require_own(folder: Path, with_model: bool = False, dense_alone: bool = False) -> None:
     """Raise OutRefusedError where results in `folder` would replace files that no run has written."""
     record = run_record(folder)
     if record is None and (folder / METRICS).exists():
         raise OutRefusedError(f"{folder / METRICS} is not of a run, but would be replaced; name another folder as out")
     foreign: Iterable[str] = ()
     if record is None:
-        foreign = _dense_results(folder) if dense_alone else _results(folder, adjusts)
-    elif adjusts and not _adjusted(record):
-        foreign = _present(folder, OF_ADJUST)
+        foreign = _dense_results(folder) if dense_alone else _results(folder, with_model)
+    elif with_model and not has_model(record):
+        foreign = _present(folder, MODEL_FILES)
     for name in foreign:
         raise OutRefusedError(f"{folder} holds {name}, which no run has written; name another folder as out")
 
@@ -131,15 +131,16 @@ def require_not_replaced(folder: Path, option: str, given: str | None) -> None:
     if given is None:
         return
     place, into = real_path(given), real_path(folder)
-    names = {into / name for name in (*RESULTS, *DENSE_RESULTS, *OF_ADJUST, METRICS, REPORT, LOG)}
+    names = {into / name for name in (*RESULTS, *DENSE_RESULTS, *MODEL_FILES, METRICS, REPORT, LOG)}
     if place in names or any(into / own in place.parents for own in OWN_FOLDERS):
         raise OutRefusedError(
             f"{option} is {given}, which results in {folder} would replace; name another folder as out"
         )
 
 
-def _adjusted(record: RunRecord) -> bool:
-    return record.command == "adjust"
+def has_model(record: RunRecord) -> bool:
+    """Whether a run has written a COLMAP model beside its other results."""
+    return record.command == "adjust" or bool(record.metrics.get(MODEL))
 
 
 def _present(folder: Path, names: Iterable[str]) -> list[str]:
@@ -151,9 +152,9 @@ def _dense_results(folder: Path) -> list[str]:
     return [*_present(folder, DENSE_RESULTS), *maps]
 
 
-def _results(folder: Path, adjusted: bool) -> list[str]:
+def _results(folder: Path, with_model: bool) -> list[str]:
     """The names of all results that lie in a folder."""
-    own = (*RESULTS, *(OF_ADJUST if adjusted else ()))
+    own = (*RESULTS, *(MODEL_FILES if with_model else ()))
     return [*_present(folder, own), *further_results(folder), *_dense_results(folder)]
 
 
@@ -165,7 +166,7 @@ def further_folders(folder: Path) -> Iterator[Path]:
 def further_results(folder: Path) -> list[str]:
     """The files of these that lie in the folder of a run."""
     there = takewhile(Path.is_dir, further_folders(folder))
-    return [f"{place.name}/{name}" for place in there for name in _present(place, SCENE_FILES)]
+    return [f"{place.name}/{name}" for place in there for name in _present(place, (*SCENE_FILES, *MODEL_FILES))]
 
 
 def _about(folder: Path) -> list[str]:

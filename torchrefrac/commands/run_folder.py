@@ -7,19 +7,35 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Shaped
 from torch import Tensor
 
 from torchrefrac.atomic import replacing
 from torchrefrac.commands.dense_outputs import remove_dense_outputs
 from torchrefrac.commands.memory import memory_lack_explained
-from torchrefrac.commands.results import FURTHER, REPORT, RESULTS, further_folders, further_results, require_own
+from torchrefrac.commands.results import (
+    FURTHER,
+    MODEL,
+    MODEL_FILES,
+    REPORT,
+    RESULTS,
+    further_folders,
+    further_results,
+    has_model,
+    require_own,
+    run_record,
+)
 from torchrefrac.figures.side_views import draw_side_views, side_view
 from torchrefrac.files.cameras import write_cameras, write_points
+from torchrefrac.files.colmap.model import write_colmap
+from torchrefrac.files.colmap.tables import Ids
 from torchrefrac.files.run import METRICS, RunRecord
 from torchrefrac.files.swap import remove_if_empty
 from torchrefrac.files.tracks import write_tracks
+from torchrefrac.files.water import WATER, write_water
 from torchrefrac.geometry import Similarity
+from torchrefrac.numerics import segment_sum
 from torchrefrac.record.memory import forget_peak_memory, peak_memory_gib
 from torchrefrac.scene import Capture, Scene, Truth
 from torchrefrac.sfm import looks_through_wall
@@ -28,10 +44,10 @@ DENSE, DENSE_METRICS = "dense", ("dense_", "seconds_dense")  # the stage, and ho
 
 
 class RunFolder:
-    """Writes each result under a temporary name and renames it."""
+    """Writes each result under a temporary name and renames it. with_model: a COLMAP model, too."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, with_model: bool = False) -> None:
+        self.folder, self.with_model = folder, with_model
         self.metrics: dict[str, Any] = {}
 
     @contextmanager
@@ -43,12 +59,14 @@ class RunFolder:
         it was interrupted stays, for the next one to go on with. Raises OptionError where what lies there is of no run.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        require_own(self.folder)
-        for name in (*RESULTS, *further_results(self.folder), REPORT):
+        require_own(self.folder, self.with_model)
+        before = run_record(self.folder)
+        model = MODEL_FILES if before is not None and has_model(before) else ()
+        for name in (*RESULTS, *model, *further_results(self.folder), REPORT):
             (self.folder / name).unlink(missing_ok=True)
             remove_if_empty((self.folder / name).parent, self.folder)
         remove_dense_outputs(self.folder)
-        self.metrics = {"status": "running", "stages": [], **about}
+        self.metrics = {"status": "running", "stages": [], **about} | ({MODEL: True} if self.with_model else {})
         self.save_metrics()
         with self._until_the_end():
             yield
@@ -86,9 +104,9 @@ class RunFolder:
             matches = {f"matches_{pair.first:04d}_{pair.second:04d}": pair.matches for pair in pairs}
             _write_arrays(matches, self.folder / "matches.npz")
         elif name == "sparse":
-            _write_scene(product, self.folder)
+            self._write(product, self.folder)
             for scene, folder in zip(product.further, further_folders(self.folder), strict=False):
-                _write_scene(scene, folder)
+                self._write(scene, folder)
                 self.metrics.setdefault(FURTHER, {})[folder.name] = len(scene.views)
         self.metrics["stages"].append(name)
         self.metrics[f"seconds_{name}"] = round(seconds, 3)
@@ -103,6 +121,11 @@ class RunFolder:
             self.metrics["not_registered"] = dict(scene.failures)
         view = side_view(self.metrics["model"], scene, alignment, self.metrics)
         draw_side_views([view], truth if alignment is not None else None, self.folder / "side_view.png")
+
+    def _write(self, scene: Scene, folder: Path) -> None:
+        write_scene(scene, folder)
+        if self.with_model:
+            write_model(scene, folder, binary=True)
 
     @contextmanager
     def _until_the_end(self) -> Iterator[None]:
@@ -130,11 +153,19 @@ class RunFolder:
         self.save_metrics()
 
 
-def _write_scene(scene: Scene, folder: Path) -> None:
-    """Into a folder, which is made where there is none."""
+def write_scene(scene: Scene, folder: Path) -> None:
+    """Write cameras, points and tracks into a folder, which is made where there is none."""
     write_cameras(scene, folder / "cameras.json")
     write_points(scene.points, scene.colors, folder / "points.ply", scene.assessment, scene.dry)
     write_tracks(scene, folder / "tracks.npz")
+
+
+def write_model(scene: Scene, folder: Path, binary: bool, ids: Ids | None = None) -> None:
+    """Write the same as a COLMAP model into a folder, with its water beside it. ids: see `write_colmap`."""
+    point, n = scene.observations.point, len(scene.points)
+    errors = segment_sum(scene.errors()[:, None], point, n)[:, 0] / torch.bincount(point, minlength=n)
+    write_colmap(scene, folder / MODEL, binary, errors, ids)
+    write_water(scene, folder / WATER)
 
 
 def read_record(folder: Path) -> RunRecord:

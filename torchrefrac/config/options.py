@@ -119,7 +119,8 @@ class Options:
 
     survey: path of a survey.json, a gcp_list.txt or a table of control points; None: the survey.json beside the
     capture.json, if there is one. compare_land: whether the photographs are reconstructed without refraction, too, to
-    say how far land differs. device: where descriptors are matched, see `device_of`; `sfm` and `dense` have their own.
+    say how far land differs. colmap: whether the run writes its scene as a COLMAP model, too. device: where
+    descriptors are matched, see `device_of`; `sfm` and `dense` have their own.
 
     Raises OptionError for values that cannot be right, and for products of a dense surface where none is asked for.
     """
@@ -134,6 +135,7 @@ class Options:
     executor: ExecutorOptions = field(default_factory=ExecutorOptions)
     survey: str | None = None
     compare_land: bool = False
+    colmap: bool = False
     device: str = AUTO
     seed: int = 0
 
