@@ -65,8 +65,10 @@ def join(scene: Scene, other: Scene, rules: Rules, capture: Capture, survey: Sur
     change, outcome = _by_positions(scene, other, capture, survey)
     if change is not None:
         return _joined(scene, other, change, rules), Outcome(Joining.DONE, {**numbers, **outcome.numbers})
-    seen = outcome.kind is Joining.NOTHING and numbers["common"] + numbers["points"] > 0
-    return scene, Outcome(Joining.DISAGREEING if seen else outcome.kind, {**numbers, **outcome.numbers})
+    kind = outcome.kind
+    if kind is Joining.NOTHING and numbers["common"] + numbers["points"]:
+        kind = Joining.DISAGREEING if numbers["agreeing"] else Joining.SCALE_OPEN
+    return scene, Outcome(kind, {**numbers, **outcome.numbers})
 
 
 class _Tie(NamedTuple):
