@@ -5,15 +5,16 @@ from dataclasses import dataclass, replace
 import pytest
 import torch
 
-from tests.sfm.test_reconstruct_sparse import OPTIONS, Prepared
+from tests.sfm.test_reconstruct_sparse import OPTIONS
 from torchrefrac.features import build_tracks
-from torchrefrac.geometry import Similarity, heading_rotation
+from torchrefrac.geometry import Similarity, align_above_plane, heading_rotation
 from torchrefrac.recorder import SilentRecorder
 from torchrefrac.scene import Capture, Observations, Scene, Survey
-from torchrefrac.sfm import PinholeInitializer, RefractiveInitializer, join, reconstruct_sparse
+from torchrefrac.sfm import PinholeInitializer, RefractiveInitializer, join, reconstruct_sparse, verify_pairs
 from torchrefrac.sfm.frame import transformed
 from torchrefrac.sfm.outcome import Joining
 
+JOINED = "3 images join by {common} images, 0 points and {positions} stated positions known in both"
 LEVEL = 420.0  # of the water where positions count from
 in_water_and_air = pytest.mark.parametrize("index_ratio", [1.33, 1.0], ids=["water", "air"])
 
@@ -100,7 +101,7 @@ def halves_with(survey_of):
 
 def stated(capture, center, views, sigma=0.02):
     """The capture with the positions of some views."""
-    known = torch.isin(torch.arange(8), torch.tensor(views))[:, None].expand(-1, 3)
+    known = torch.isin(torch.arange(len(center)), torch.tensor(views))[:, None].expand(-1, 3)
     position = center + torch.tensor((0.0, 0.0, LEVEL))
     return replace(capture, position=position, position_sigma=torch.where(known, sigma, torch.inf).double())
 
@@ -216,15 +217,30 @@ def test_reconstructions_of_the_same_views_are_refused(halves_with):
         join(halves.first, halves.first, halves.rules(1.33), halves.capture, Survey.empty(halves.capture.names))
 
 
-def grown(survey, is_matched):
-    """The reconstruction from those pairs that are matched."""
-    given = Prepared.of(survey)
-    pairs = [one for one in given.pairs if is_matched(one.pair.first, one.pair.second)]
-    seen, colors = build_tracks(survey.features(), [one.pair for one in pairs])
-    scene = Scene.of_capture(survey.capture, seen, colors, given.initializer.index_ratio)
-    return reconstruct_sparse(
-        scene, survey.capture, pairs, given.initializer, OPTIONS, given.generator, SilentRecorder()
-    )
+class Lines(SilentRecorder):
+    """Keeps what was said in detail."""
+
+    def __init__(self):
+        self.lines = []
+
+    def detail(self, text):
+        self.lines.append(text)
+
+
+def grown(survey, matches):
+    """The reconstruction from these matches, and what was said of joining."""
+    options, generator, recorder = OPTIONS, torch.Generator().manual_seed(1), Lines()
+    initializer, features = RefractiveInitializer(survey.capture, survey.basin.index_ratio, options), survey.features()
+    pairs = verify_pairs(matches, features, initializer, options.min_pair_inliers, generator, recorder)
+    seen, colors = build_tracks(features, [one.pair for one in pairs])
+    scene = Scene.of_capture(survey.capture, seen, colors, initializer.index_ratio)
+    scene = reconstruct_sparse(scene, survey.capture, pairs, initializer, options, generator, recorder)
+    return scene, [line for line in recorder.lines if line.startswith("a reconstruction of")]
+
+
+def in_groups(survey, last):
+    """The matches of the views up to the `last` of the first group among each other, and of those after it."""
+    return [one for one in survey.pairs() if (one.first <= last) == (one.second <= last)]
 
 
 def test_groups_that_nothing_but_positions_ties_are_one_scene_as_exact_as_these(survey_of, draw):
@@ -232,22 +248,32 @@ def test_groups_that_nothing_but_positions_ties_are_one_scene_as_exact_as_these(
     error = 0.05 * draw.normal(6, 3)
     capture = stated(survey.capture, survey.basin.center + error, range(6), sigma=0.05)
 
-    scene = grown(replace(survey, capture=capture), lambda first, second: (first < 3) == (second < 3))
+    scene, said = grown(replace(survey, capture=capture), in_groups(survey, last=2))
 
     assert scene.views.registered.all()
     assert scene.further == ()
     assert scene.failures == {}
+    assert said == ["a reconstruction of 3 images beside one of 3: " + JOINED.format(common=0, positions=3)]
     true = survey.basin.center + torch.tensor((0.0, 0.0, LEVEL - scene.assessment.lowered_by))
     assert (scene.views.center - true).square().mean().sqrt() < 0.05
     assert (scene.assessment.center_sigma < 0.1).all()
 
 
-@pytest.mark.slow
-def test_a_scene_is_made_of_all_that_photographs_between_join(survey_of):
+def test_a_photograph_between_makes_one_scene_of_both_groups(survey_of):
+    """Half of its keypoints match the first group, the other half the second one."""
     survey = survey_of(cameras=7, points=120, noise=0.1, gravity_error_deg=0.2)
-    bridge = {(2, 3), (3, 4)}  # by tracks of its own to each side
+    pairs = []
+    for one in in_groups(survey, last=3):
+        half = one.matches[:, 1] % 2 == 0 if one.second == 3 else one.matches[:, 1] >= 0
+        pairs.append(replace(one, matches=one.matches[half]))
+    for one in survey.pairs():
+        if one.first == 3 and one.second > 3:
+            pairs.append(replace(one, matches=one.matches[one.matches[:, 0] % 2 == 1]))
 
-    scene = grown(survey, lambda first, second: (first < 3) == (second < 3) and first != 3 or (first, second) in bridge)
+    scene, said = grown(survey, pairs)
 
     assert scene.views.registered.all()
     assert scene.further == ()
+    assert said == ["a reconstruction of 3 images beside one of 4: " + JOINED.format(common=1, positions=0)]
+    change = align_above_plane(scene.views.center, survey.basin.center)
+    assert (change.apply(scene.views.center) - survey.basin.center).norm(dim=-1).max() < 0.3

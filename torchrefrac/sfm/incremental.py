@@ -52,7 +52,7 @@ def reconstruct_sparse(
     given = Given(capture, options, initializer, seed, recorder, water, features, stated)
     finished = [replace(one, scene=one.growth.finished(one.scene)) for one in _grown(scene, pairs, given)]
     first, *others = sorted(finished, key=_Grown.size, reverse=True)
-    return _beside(first, [one for one in others if one.size() >= FEWEST_VIEWS])
+    return _beside(first, others) if others else first.scene
 
 
 @dataclass(frozen=True)
@@ -124,12 +124,16 @@ def _any(scene: Scene, every: Sequence[_Grown]) -> Bool[Tensor, " m"]:
 
 
 def _beside(first: _Grown, others: Sequence[_Grown]) -> Scene:
-    """The scene of the first, with those of others, and where their views are."""
-    if not others:
-        return first.scene
-    reasons, names = dict(first.scene.failures), first.scene.views.names
-    for number, one in enumerate(others, start=2):
-        why = f"is in a reconstruction of its own, the {number}.: {one.apart}"
-        reasons |= {names[view]: why for view in (one.views & ~first.views).nonzero()[:, 0].tolist()}
-    further = tuple(replace(one.scene, failures={}) for one in others)
-    return replace(first.scene, failures=reasons, further=further)
+    """The scene of the first, with those of others that are large enough, and why views are not in it."""
+    names, reasons, further = first.scene.views.names, dict[str, str](), list[Scene]()
+    for one in (*others, first):
+        reasons |= one.scene.failures
+    for one in others:
+        where = str(one.apart)
+        if one.size() >= FEWEST_VIEWS:
+            further.append(replace(one.scene, failures={}))
+            where = f"is in a reconstruction of its own, the {len(further) + 1}.: {where}"
+        reasons |= {names[view]: where for view in one.views.nonzero()[:, 0].tolist()}
+    missing = {names[view] for view in (~first.views).nonzero()[:, 0].tolist()}
+    reasons = {name: why for name, why in reasons.items() if name in missing}
+    return replace(first.scene, failures=reasons, further=tuple(further))

@@ -33,7 +33,9 @@ class Joining(Enum):
         "{common} images and {points} points are known in it and in the others, but no more than {agreeing} agree on "
         "how these lie to each other"
     )
-    SCALE_OPEN = "{common} image sees points of it and of the others, which leaves open how large these are to each other"
+    SCALE_OPEN = (
+        "{common} image sees points of it and of the others, which leaves open how large these are to each other"
+    )
     UNDETERMINED = (
         "{positions} stated positions of it, or those of the others, are too few or too close together to say where it "
         "is: state two in each that are apart"
