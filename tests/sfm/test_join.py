@@ -277,3 +277,17 @@ def test_a_photograph_between_makes_one_scene_of_both_groups(survey_of):
     assert said == ["a reconstruction of 3 images beside one of 4: " + JOINED.format(common=1, positions=0)]
     change = align_above_plane(scene.views.center, survey.basin.center)
     assert (change.apply(scene.views.center) - survey.basin.center).norm(dim=-1).max() < 0.3
+
+
+def test_a_group_that_positions_do_not_place_stays_apart_and_says_why(survey_of):
+    survey = survey_of(cameras=6, points=60)
+    capture = stated(survey.capture, survey.basin.center, (0, 1, 2, 4))
+
+    scene, said = grown(replace(survey, capture=capture), in_groups(survey, last=2))
+
+    (other,) = scene.further
+    assert not (scene.views.registered & other.views.registered).any()
+    assert scene.views.registered.sum() == other.views.registered.sum() == 3
+    assert set(scene.failures) == {survey.capture.names[i] for i in (~scene.views.registered).nonzero()[:, 0].tolist()}
+    assert all("state two in each that are apart" in why for why in (*scene.failures.values(), *said))
+    assert other.failures == {}

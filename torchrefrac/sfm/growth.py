@@ -182,7 +182,8 @@ class Growth:
         those `among` as can be registered now."""
         for view in scene.views.registered.nonzero()[:, 0].tolist():
             self.failures.pop(scene.views.names[view], None)
-        return self.go_on(self.adjust(scene), among)
+        scene = self.adjust(scene)
+        return self.go_on(scene, among) if bool((among & ~scene.views.registered).any()) else scene
 
     def adjust(self, scene: Scene, joined: Bool[Tensor, " m"] | None = None) -> Scene:
         """Adjust, drop what no longer fits, and take in what now does. joined: views that are adjusted with their

@@ -94,7 +94,9 @@ def _grown(scene: Scene, pairs: Sequence[VerifiedPair], given: Given) -> list[_G
 def _pairs_of_groups(pairs: Sequence[VerifiedPair], among: Bool[Tensor, " m"]) -> list[VerifiedPair]:
     """Those of two views `among`, in groups of FEWEST_VIEWS or more that such pairs join."""
     left = [one for one in pairs if among[one.pair.first] and among[one.pair.second]]
-    ends = torch.tensor([(one.pair.first, one.pair.second) for one in left], dtype=torch.long).reshape(-1, 2)
+    if len(left) < FEWEST_VIEWS - 1:
+        return []
+    ends = torch.tensor([(one.pair.first, one.pair.second) for one in left])
     group = components(ends[:, 0], ends[:, 1], len(among))
     large = (torch.bincount(group)[group] >= FEWEST_VIEWS).tolist()
     return [one for one in left if large[one.pair.first]]
