@@ -28,6 +28,7 @@ def test_positions_of_two_photographs_in_each_group_make_one_scene(tmp_path, dra
 
     assert scene.views.registered.all()
     assert scene.further == ()
-    off = scene.views.center + torch.tensor((0.0, 0.0, scene.assessment.lowered_by - LEVEL)) - true
+    lift = torch.tensor((0.0, 0.0, (scene.assessment.lowered_by or 0.0) - LEVEL))
+    off = scene.views.center + lift - true
     assert off.norm(dim=-1).max() < 4.0 * SIGMA
     assert not scene.findings

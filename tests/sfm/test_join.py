@@ -256,6 +256,7 @@ def test_groups_that_nothing_but_positions_ties_are_one_scene_as_exact_as_these(
     assert said == ["a reconstruction of 3 images beside one of 3: " + JOINED.format(common=0, positions=3)]
     true = survey.basin.center + torch.tensor((0.0, 0.0, LEVEL - scene.assessment.lowered_by))
     assert (scene.views.center - true).square().mean().sqrt() < 0.05
+    assert scene.assessment.center_sigma is not None
     assert (scene.assessment.center_sigma < 0.1).all()
 
 
