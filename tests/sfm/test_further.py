@@ -14,7 +14,7 @@ from torchrefrac.features import MatchOptions
 from torchrefrac.files.cameras import read_cameras
 from torchrefrac.files.work import Work
 from torchrefrac.recorder import SilentRecorder
-from torchrefrac.scene import Survey
+from torchrefrac.scene import Survey, WarningCode
 from torchrefrac.sfm import RefractiveInitializer, verify_pairs
 
 
@@ -45,6 +45,8 @@ def test_each_group_is_reconstructed_and_the_largest_is_that_of_the_run(stage_of
     assert scene.views.registered.tolist() == [True, False, True, False, False, True, True, False]
     assert other.views.names == tuple(survey.capture.names[i] for i in (1, 3, 4))
     assert {name for name, why in scene.failures.items() if "of its own, the 2." in why} == set(other.views.names)
+    (apart,) = (finding for finding in scene.findings if finding.code is WarningCode.SEVERAL_RECONSTRUCTIONS)
+    assert apart.images == other.views.names
     true = survey.basin.center[[1, 3, 4]]
     scale = float(other.views.center[:, 2].mean() / true[:, 2].mean())
     found, wanted = (torch.cdist(center, center) for center in (other.views.center, scale * true))

@@ -431,14 +431,29 @@ def test_what_cannot_be_adjusted_is_refused_with_the_names_of_images(plant, spoi
         readjust(spoil(planted.truth))
 
 
-def test_views_that_nothing_connects_are_named(plant):
-    truth = plant().truth
+def in_two_parts(truth):
+    """No point is seen by views of both parts, the last two of which have moved."""
     seen, apart = truth.observations, truth.observations.view < 4
     wanted = torch.where(seen.point % 2 == 0, apart, ~apart)
     split = replace(truth, observations=seen[wanted], accepted=truth.accepted[wanted]).cleaned()
+    center = split.views.center + torch.tensor((0.5, -0.3, 0.0)) * (torch.arange(6)[:, None] >= 4)
+    return replace(split, views=split.views.at(split.views.rotation, center))
 
+
+def test_views_that_nothing_connects_are_named(plant):
     with pytest.raises(UnadjustableError, match=r"no common points connect the images: 2 parts.*cam04.jpg, cam05.jpg"):
-        readjust(split)
+        readjust(in_two_parts(plant().truth))
+
+
+def test_views_that_positions_alone_connect_are_adjusted(plant):
+    truth = plant().truth
+    centers = truth.views.center.tolist()
+    images = {name: SurveyedImage(center=(at, SMALL)) for name, at in zip(truth.views.names, centers, strict=True)}
+
+    scene, _ = readjust(in_two_parts(truth), resolve(images, {}, [], truth.views.names))
+
+    assert scene.views.registered.all()
+    torch.testing.assert_close(scene.views.center, truth.views.center, rtol=0.0, atol=1e-3)
 
 
 def test_measured_gravity_wants_a_frame_whose_z_points_up(plant):

@@ -11,6 +11,8 @@ from torchrefrac.numerics import components
 from torchrefrac.scene import Scene
 
 SHOWN = 4
+LOCATED = 2
+"""Views with measured positions that hold a part of a scene in place."""
 
 
 class UnadjustableError(TorchrefracError, ValueError):
@@ -22,12 +24,14 @@ def check_inputs(
     fixed: Bool[Tensor, "m 6"] | None = None,
     known: Bool[Tensor, " n"] | None = None,
     connected: bool = True,
+    located: Bool[Tensor, " m"] | None = None,
 ) -> None:
     """Raise UnadjustableError for a scene of which not everything takes part, for values that are not finite, ids out
     of range, views that are not above their interface, points that fewer than two views see, views without any, and
     views that no chain of common points connects to the rest (unless their poses are fixed); SceneError for interfaces
     of several index ratios. known: points that have measurements of their own; these may be seen once. connected:
-    whether such a chain is asked for.
+    whether such a chain is asked for. located: views whose positions are measured, LOCATED of which in each of two
+    parts take the place of a chain between them.
     """
     views, seen = scene.views, scene.observations
     for name, mask in (("view", views.registered), ("point", scene.placed), ("observation", scene.accepted)):
@@ -55,7 +59,7 @@ def check_inputs(
         where = _listed([str(i) for i in lonely[:SHOWN].tolist()], len(lonely))
         raise UnadjustableError(f"seen by fewer than two images: point {where}; leave such points out")
     if connected:
-        _check_connected(scene, fixed)
+        _check_connected(scene, fixed, located)
 
 
 def _check_finite(scene: Scene) -> None:
@@ -71,7 +75,7 @@ def _check_finite(scene: Scene) -> None:
             raise UnadjustableError(f"scene.{name} is not finite")
 
 
-def _check_connected(scene: Scene, fixed: Bool[Tensor, "m 6"] | None) -> None:
+def _check_connected(scene: Scene, fixed: Bool[Tensor, "m 6"] | None, located: Bool[Tensor, " m"] | None) -> None:
     seen, m = scene.observations, len(scene.views)
     label = components(seen.view, seen.point + m, m + len(scene.points)).cpu().numpy()
     count = int(label.max()) + 1
@@ -80,7 +84,13 @@ def _check_connected(scene: Scene, fixed: Bool[Tensor, "m 6"] | None) -> None:
     parts = [np.nonzero(label[:m] == part)[0] for part in range(count)]
     sizes = sorted(parts, key=len, reverse=True)
     whole = np.zeros(m, dtype=bool) if fixed is None else fixed.all(dim=-1).cpu().numpy()
-    apart = [part for part in sizes[1:] if len(part) and not whole[part].all()]
+    placed = np.zeros(m, dtype=bool) if located is None else located.cpu().numpy()
+    held = placed[sizes[0]].sum() >= LOCATED
+    apart = [
+        part
+        for part in sizes[1:]
+        if len(part) and not whole[part].all() and not (held and placed[part].sum() >= LOCATED)
+    ]
     if apart:
         names = scene.views.names
         listed = "; ".join(_listed([names[int(i)] for i in part[:SHOWN]], len(part)) for part in apart[:SHOWN])

@@ -14,15 +14,11 @@ from torchrefrac.features import PairMatches, build_tracks
 from torchrefrac.features.matching import WAYS
 from torchrefrac.scene import Capture, Scene, Survey, WarningCode
 from torchrefrac.sfm import (
-    NoInitialPairError,
     better_focal,
     errors_in_air_and_water,
     fits_better_in_air,
     reconstruct_sparse,
 )
-
-FEWEST_VIEWS = 3
-"""Of a further reconstruction."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +37,8 @@ class SparseStage:
             against = {finding.code for finding in contradictions(found, stated)}
             if against == {WarningCode.SURFACE_NOT_FLAT} and fits_better_in_air(found, stated):
                 found = self._grown(self.verify.by_land(self.levelled))
-        found = self._with_further(self._assessed(found))
+        further = (self._assessed(one).of_views(one.views.registered) for one in found.further)
+        found = replace(self._assessed(found), further=tuple(further))
         known = found.assessment
         about_positions = position_contradictions(found, known.surveyed, known.lowered_by)
         return replace(found, findings=(*contradictions(found, stated), *about_positions, *doubts(stated)))
@@ -70,27 +67,6 @@ class SparseStage:
             return found
         again = self._grown(self.verified._replace(pairs=[*self.verified.pairs, *pairs]))
         return again if again.views.num_registered > found.views.num_registered else found
-
-    def _with_further(self, found: Scene) -> Scene:
-        """With further reconstructions of views that are not registered, from the pairs among them, the largest first
-        for as long as there are such of FEWEST_VIEWS or more."""
-        left, further, reasons = ~found.views.registered, list[Scene](), dict(found.failures)
-        while True:
-            pairs = [one for one in self.verified.pairs if left[one.pair.first] and left[one.pair.second]]
-            if len({view for one in pairs for view in (one.pair.first, one.pair.second)}) < FEWEST_VIEWS:
-                break
-            try:
-                scene = self._grown(self.verified._replace(pairs=pairs))
-            except NoInitialPairError:
-                break
-            registered = scene.views.registered & left
-            if int(registered.sum()) < FEWEST_VIEWS:
-                break
-            further.append(replace(self._assessed(scene).of_views(registered), failures={}))
-            left = left & ~registered
-            where = f"is in a reconstruction of its own, the {len(further) + 1}.: nothing joins it with the others"
-            reasons |= {found.views.names[view]: where for view in registered.nonzero()[:, 0].tolist()}
-        return replace(found, further=tuple(further), failures=reasons) if further else found
 
     def _matched_again(self, found: Scene) -> list[PairMatches]:
         """Matches of photographs that are not registered with all that they were not matched with, unless a file lists

@@ -71,7 +71,7 @@ def about_given(scene: Scene) -> tuple[Finding, ...]:
 
 def about_images(scene: Scene) -> tuple[Finding, ...]:
     """How well the images, and the adjustment of all, came out."""
-    return (*_unused_cameras(scene), *_weak_images(scene), *_not_converged(scene))
+    return (*_apart(scene), *_unused_cameras(scene), *_weak_images(scene), *_not_converged(scene))
 
 
 def _damaged(stated: Capture) -> list[Finding]:
@@ -241,6 +241,19 @@ def _weak_images(scene: Scene) -> list[Finding]:
         )
         for i in weak.nonzero()[:, 0].tolist()
     ]
+
+
+def _apart(scene: Scene) -> list[Finding]:
+    """Reconstructions of images that nothing ties to the others."""
+    findings = []
+    for number, other in enumerate(scene.further, start=2):
+        names = named(other.views.names, other.views.registered)
+        message = (
+            f"{listed(names)} are a reconstruction of their own, the {number}., as nothing ties them to the others: "
+            "state positions of two images or more of each that are apart, or take photographs that show parts of both"
+        )
+        findings.append(Finding(WarningCode.SEVERAL_RECONSTRUCTIONS, message, names))
+    return findings
 
 
 def _unused_cameras(scene: Scene) -> list[Finding]:

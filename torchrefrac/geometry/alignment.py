@@ -11,11 +11,21 @@ from torchrefrac.geometry.gravity import heading_rotation
 
 @dataclass(frozen=True)
 class Similarity:
-    """`b_from_a`: x_in_b = scale * rotation @ x_in_a + translation."""
+    """`b_from_a`: x_in_b = scale * rotation @ x_in_a + translation. They compose as motions do."""
 
     scale: Float[Tensor, ""]
     rotation: Float[Tensor, "3 3"]
     translation: Float[Tensor, " 3"]
+
+    def __matmul__(self, other: "Similarity") -> "Similarity":
+        """This one after the other."""
+        return Similarity(self.scale * other.scale, self.rotation @ other.rotation, self.apply(other.translation))
+
+    @property
+    def inverse(self) -> "Similarity":
+        """`a_from_b`."""
+        turned = self.rotation.mT @ self.translation
+        return Similarity(1.0 / self.scale, self.rotation.mT, -turned / self.scale)
 
     def apply(self, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
         """The points in b."""

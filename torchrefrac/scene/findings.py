@@ -20,6 +20,7 @@ class WarningCode(StrEnum):
     DAMAGED_IMAGE = "damaged_image"
     DUPLICATE_IMAGE = "duplicate_image"
     CAMERA_NOT_PLACED = "camera_not_placed"
+    SEVERAL_RECONSTRUCTIONS = "several_reconstructions"
     WATER_LEVEL_CONTRADICTS = "water_level_contradicts"
     NO_REFRACTION_SEEN = "no_refraction_seen"
     SURFACE_NOT_FLAT = "surface_not_flat"

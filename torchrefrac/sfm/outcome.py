@@ -24,6 +24,28 @@ class Registration(Enum):
     NO_POSE = "no pose agrees with more than {agreeing} of the {seen} reconstructed points that it sees"
 
 
+class Joining(Enum):
+    """Of two reconstructions of different views."""
+
+    DONE = "{views} images join by {common} images, {points} points and {positions} stated positions known in both"
+    NOTHING = "nothing joins it with the others"
+    DISAGREEING = (
+        "{common} images and {points} points are known in it and in the others, but no more than {agreeing} agree on "
+        "how these lie to each other"
+    )
+    SCALE_OPEN = (
+        "{common} image sees points of it and of the others, which leaves open how large these are to each other"
+    )
+    UNDETERMINED = (
+        "{positions} stated positions of it, or those of the others, are too few or too close together to say where it "
+        "is: state two in each that are apart"
+    )
+    OTHER_LEVEL = (
+        "by {positions} stated positions of it the water stands {apart:.3g} higher or lower than for the others, under "
+        "cameras {height:.3g} above it"
+    )
+
+
 class Triangulation(Enum):
     """Of points that had no position."""
 

@@ -177,9 +177,10 @@ class Work:
 
     def _check(self, scene: Scene) -> None:
         """Refuse what cannot be adjusted. A control point that a single view sees does no harm, but ties nothing."""
-        shared = scene.part(min_observations=2).scene
-        fixed = torch.ones(len(shared.views), 6, dtype=torch.bool) if self.rules.fixed_poses else None
-        check_inputs(shared, fixed)
+        shared, view, _ = scene.part(min_observations=2)
+        fixed = torch.ones(len(view), 6, dtype=torch.bool) if self.rules.fixed_poses else None
+        located = torch.zeros_like(scene.views.registered).index_fill(0, self.survey.center_image, True)
+        check_inputs(shared, fixed, located=located[view])
 
     def _generous(self, scene: Scene) -> float:
         error = scene.errors()[scene.accepted]

@@ -4,6 +4,7 @@ in the adjustment with its errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -93,6 +94,37 @@ def _above_water(up: Float[Tensor, "3"], height: float) -> Rigid:
     return Rigid(rotation, -height * rotation[2])
 
 
+class KnownPlaces(NamedTuple):
+    """A scene with the ground control points of a survey as its last points, those of the places that the survey states
+    which the scene has, and the rotation that puts its vertical upright."""
+
+    scene: Scene
+    places: StatedPlaces
+    level: Float[Tensor, "3 3"]
+
+    def survey_from_scene(self, capture: Capture) -> Similarity | None:
+        """By these places, with the vertical of the water, or of the gravity measured, where it is known. None where
+        they do not determine it, or are stated by mistake."""
+        measured = self.scene.views.registered & capture.down_sigma.isfinite()
+        level = self.level if self.scene.interfaces.stand_in_world or bool(measured.any()) else None
+        if not len(self.places) or self.places.mistake(level) is not None:
+            return None
+        found = self.places.similarity() if level is None else self.places.level_similarity(level)
+        return None if found is None else found[0]
+
+
+def known_places(scene: Scene, capture: Capture, survey: Survey, pixel_sigma: float = CLICK) -> KnownPlaces:
+    """The places that a survey states of a scene, through water the vertical of which counts, and without refraction
+    that of the gravity measured. pixel_sigma: of keypoints."""
+    every = with_control(scene, survey, pixel_sigma)
+    if len(survey.control_names):
+        every = with_meeting_points(every, torch.arange(len(every.points)) >= len(scene.points))
+    places = StatedPlaces.of(every, survey)
+    upright = scene.interfaces.stand_in_world
+    level = torch.eye(3, dtype=torch.float64) if upright else mean_level(scene, capture)
+    return KnownPlaces(every, places[places.known], level)
+
+
 def placed_by_survey(
     scene: Scene, capture: Capture, survey: Survey, pixel_sigma: float = CLICK
 ) -> tuple[Scene, SurveyFrame] | None:
@@ -107,11 +139,7 @@ def placed_by_survey(
     """
     ties, refractive = len(scene.points), scene.interfaces.stand_in_world
     survey = survey if refractive else survey.without_water()
-    every = with_control(scene, survey, pixel_sigma)
-    every = with_meeting_points(every, torch.arange(len(every.points)) >= ties) if len(survey.control_names) else every
-    level = torch.eye(3, dtype=torch.float64) if refractive else mean_level(scene, capture)
-    places = StatedPlaces.of(every, survey)
-    places = places[places.known]
+    every, places, level = known_places(scene, capture, survey, pixel_sigma)
     mistake = places.mistake(level)
     if mistake is not None:
         survey = survey.without(*_all_positions(survey, cameras=mistake.of_cameras))
