@@ -19,6 +19,7 @@ from torchrefrac.sfm.water_level import at_best_level
 VIEWS, POINTS, LEAST_POINTS = 6, 500, 30
 ANY = 1e6  # pixels
 FRESH_WATER = 1.333
+CLEARLY = 0.9  # by how much smaller errors through water must be at least
 
 
 def errors_in_air_and_water(scene: Scene, stated: Capture) -> tuple[float, float] | None:
@@ -45,8 +46,9 @@ def errors_in_air_and_water(scene: Scene, stated: Capture) -> tuple[float, float
 
 
 def fits_better_in_air(scene: Scene, stated: Capture) -> bool:
-    """Whether a part of a scene that was reconstructed through water agrees better with itself without: it may show
-    land. Both are adjusted from what the scene has, with the intrinsics as uncertain as they are stated to be."""
+    """Whether a part of a scene that was reconstructed through water agrees as well with itself without, or better: it
+    may show land. Through water, whose level is one more thing that adapts to errors, it must agree clearly better. Both
+    are adjusted from what the scene has, with the intrinsics as uncertain as they are stated to be."""
     part = _best_seen(scene)
     if len(part.points) < LEAST_POINTS:
         return False
@@ -55,7 +57,7 @@ def fits_better_in_air(scene: Scene, stated: Capture) -> bool:
         errors = [_typical_error(each, stated) for each in (air, part)]
     except (UnadjustableError, SurveyError):
         return False
-    return errors[0] < errors[1]
+    return CLEARLY * errors[0] < errors[1]
 
 
 def _typical_error(scene: Scene, stated: Capture) -> float:
