@@ -6,41 +6,97 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from torchrefrac.commands.pairs import ChosenPairs
-from torchrefrac.config import Options
-from torchrefrac.features import Features, MatchOptions, PairMatches, SiftOptions, extract_sift, match
+from torchrefrac.config import OptionError, Options
+from torchrefrac.features import (
+    Extractor,
+    Features,
+    MadeElsewhereOptions,
+    MatchOptions,
+    NetworkOptions,
+    PairMatches,
+    SiftOptions,
+    extract_features,
+    match,
+)
+from torchrefrac.features.elsewhere import features_and_matches
 from torchrefrac.features.matching import EXHAUSTIVE
+from torchrefrac.features.reduced import colors_at, nearest_pixels
+from torchrefrac.files.correspondences import read_correspondences
 from torchrefrac.files.masks import Masks
+from torchrefrac.files.photographs import read_color
 from torchrefrac.files.work import Arrays, Form, Work
 from torchrefrac.numerics import AUTO, device_of
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Capture
 
 KEYPOINTS = Form({"pixels": "f:n2", "colors": "c:n3", "noise": "f:n"}, mapped=("descriptors",))
+COLORS = Form({"used": "b:n", "colors": "c:n3"})
 FIELDS = ("pixels", "descriptors", "colors", "noise")
 MATCHES = Form({"count": "i:p", "matches": "i:k2"})
 AT_ONCE = 16
 """Pairs that are matched in one part of the work."""
-SECONDS_AN_IMAGE, SECONDS_A_PRODUCT = 0.3, 2e-9
-"""About how long an image takes, and a pair for each product of two descriptors."""
+SECONDS_AN_IMAGE, SECONDS_A_LOOK, SECONDS_A_PRODUCT = 0.3, 0.05, 2e-9
+"""About how long an image takes, one whose keypoints are known, and a pair for each product of two descriptors."""
 
 
 def extract(capture: Capture, options: Options, recorder: Recorder, work: Work | None = None) -> list[Features]:
-    """Keypoints of every photograph, outside its mask."""
-    work, masks = work or Work(), Masks(capture)
-    sizes = [capture.cameras.sizes[camera] for camera in capture.camera.tolist()]
-    how = options.features.for_images(sum(width * height for width, height in sizes) / len(sizes))
+    """Keypoints of every photograph, outside its mask. Raises OptionError for those that were made elsewhere."""
+    work, masks, how = work or Work(), Masks(capture), options.features
+    if isinstance(how, MadeElsewhereOptions):
+        raise OptionError(f"features.method is {how.method!r}, by which no keypoints are looked for")
+    if isinstance(how, SiftOptions):
+        sizes = _sizes(capture)
+        how = how.for_images(sum(width * height for width, height in sizes) / len(sizes))
     each = [capture.of_views([image]) for image in range(len(capture))]
-    made_from = how, capture.paths, masks.paths
-    parts = work.parts("features", made_from, partial(_keypoints, how), each, KEYPOINTS, SECONDS_AN_IMAGE)
+    weights = how.made_from if isinstance(how, NetworkOptions) else ()
+    made_from = how, capture.paths, masks.paths, *weights
+    function = partial(_keypoints, how, options.device)
+    parts = work.parts("features", made_from, function, each, KEYPOINTS, SECONDS_AN_IMAGE)
     found = dict(recorder.track(parts, len(each), "features", "image"))
     return [Features(*(torch.from_numpy(found[image][name]) for name in FIELDS)) for image in range(len(each))]
 
 
-def _keypoints(options: SiftOptions, photograph: Capture) -> Arrays:
-    found = extract_sift(photograph.paths[0], options, Masks(photograph).used(0))
+def _keypoints(how: SiftOptions | NetworkOptions | Extractor, device: str, photograph: Capture) -> Arrays:
+    found = extract_features(photograph.paths[0], how, Masks(photograph).used(0), device)
     return {name: getattr(found, name).numpy() for name in FIELDS}
+
+
+def made_elsewhere(
+    capture: Capture, options: MadeElsewhereOptions, recorder: Recorder, work: Work | None = None
+) -> tuple[list[Features], list[PairMatches]]:
+    """Keypoints outside the masks of the photographs, and their matches, out of the files that the options name.
+
+    Photographs that the files lack are named, and have no keypoints. Raises CaptureError for files that cannot be used.
+    """
+    found = read_correspondences(*options.paths, capture.names, _sizes(capture))
+    if found.missing:
+        some = ", ".join(found.missing[:3]) + (", ..." if len(found.missing) > 3 else "")
+        recorder.note(f"{options.path} has no keypoints of {len(found.missing)} images, which remain out: {some}")
+    work = work or Work()
+    jobs = [(capture.of_views([image]), pixels) for image, pixels in enumerate(found.pixels)]
+    made_from = capture.paths, Masks(capture).paths, found.pixels
+    parts = work.parts("colors", made_from, _looked_up, jobs, COLORS, SECONDS_A_LOOK)
+    seen = dict(recorder.track(parts, len(jobs), "features", "image"))
+    used, colors = ([torch.from_numpy(seen[image][name]) for image in range(len(jobs))] for name in ("used", "colors"))
+    return features_and_matches(found, used, colors)
+
+
+def _looked_up(job: tuple[Capture, Float[Tensor, "k 2"]]) -> Arrays:
+    """Which keypoints of a photograph may be used, and their colours."""
+    photograph, pixels = job
+    allowed, image = Masks(photograph).used(0), read_color(photograph.paths[0])
+    column, row = nearest_pixels(pixels.numpy() - 0.5, *image.shape[:2])
+    used = np.ones(len(pixels), dtype=np.bool_) if allowed is None else allowed.numpy()[row, column]
+    return {"used": used, "colors": colors_at(image, pixels).numpy()}
+
+
+def _sizes(capture: Capture) -> list[tuple[int, int]]:
+    """Width and height of each photograph, in pixels."""
+    return [capture.cameras.sizes[camera] for camera in capture.camera.tolist()]
 
 
 def match_pairs(

@@ -10,7 +10,7 @@ from torchrefrac.commands.verification import Verification, Verified
 from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.evaluate.doubts import doubts
 from torchrefrac.evaluate.survey_consistency import position_contradictions
-from torchrefrac.features import PairMatches, build_tracks
+from torchrefrac.features import MadeElsewhereOptions, PairMatches, build_tracks
 from torchrefrac.features.matching import WAYS
 from torchrefrac.scene import Capture, Scene, Survey, WarningCode
 from torchrefrac.sfm import (
@@ -96,7 +96,8 @@ class SparseStage:
         """Matches of photographs that are not registered with all that they were not matched with, unless a file lists
         the pairs."""
         verify = self.verify
-        if verify.options.matching.pairs not in WAYS or bool(found.views.registered.all()):
+        given = isinstance(verify.options.features, MadeElsewhereOptions) or verify.options.matching.pairs not in WAYS
+        if given or bool(found.views.registered.all()):
             return []
         tried = torch.tensor([(pair.first, pair.second) for pair in verify.matches])
         left = pairs_left_out(tried, found.views.registered)
