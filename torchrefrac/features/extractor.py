@@ -41,7 +41,6 @@ def extract_features(
         return extract_sift(path, method, used)
     if isinstance(method, NetworkOptions):
         on = device_of(device)
-        network = network_of(method.method, method.weights, on)
-        most = {"max_features": method.max_features, "max_pixels": method.max_pixels}
-        return extract_by_network(path, network, used, **most, device=on)  # type: ignore[arg-type]
+        most, pixels = method.max_features, method.max_pixels
+        return extract_by_network(path, network_of(method, on), used, max_features=most, max_pixels=pixels, device=on)
     return method(path, used)

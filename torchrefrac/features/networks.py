@@ -117,12 +117,16 @@ def extract_by_network(
     )
 
 
-@lru_cache(maxsize=1)
-def network_of(method: str, weights: str | None, device: torch.device) -> Network:
-    """A network of kornia, on a device.
+def network_of(options: NetworkOptions, device: torch.device) -> Network:
+    """A network of kornia, on a device; the last one is not loaded again until its file changes.
 
     Raises WeightsError where its weights cannot be read or downloaded, or are those of another network.
     """
+    return _network(options.method, options.weights, options.made_from, device)
+
+
+@lru_cache(maxsize=1)
+def _network(method: str, weights: str | None, made_from: tuple[str, ...], device: torch.device) -> Network:
     return (_disk if method == "kornia_disk" else _aliked)(weights, device)
 
 
@@ -130,10 +134,22 @@ def _disk(weights: str | None, device: torch.device) -> Network:
     from kornia.feature import DISK  # noqa: PLC0415 - takes seconds to load, and few use it
 
     if weights is None:
-        model = downloaded("DISK", "features.weights", lambda: DISK.from_pretrained("depth", device))
-    else:
-        state = read_weights(weights)
-        model = loaded(DISK(), state.get("extractor", state), weights).to(device)
+        return by_disk(downloaded("DISK", "features.weights", lambda: DISK.from_pretrained("depth", device)))
+    state = read_weights(weights)
+    return by_disk(loaded(DISK(), state.get("extractor", state), weights).to(device))
+
+
+def _aliked(weights: str | None, device: torch.device) -> Network:
+    from kornia.feature import ALIKED  # noqa: PLC0415
+
+    if weights is None:
+        return by_aliked(downloaded("ALIKED", "features.weights", lambda: ALIKED.from_pretrained(device=device)))
+    state = read_weights(weights)
+    return by_aliked(loaded(ALIKED(_kind_of_aliked(state)), state, weights).to(device))
+
+
+def by_disk(model: nn.Module) -> Network:
+    """What a DISK of kornia detects, at whole pixels of its own. Images are padded to a multiple of 16."""
 
     def detect(image: Float[Tensor, "3 height width"]) -> Detected:
         (found,) = model(image[None], pad_if_not_divisible=True)
@@ -142,14 +158,8 @@ def _disk(weights: str | None, device: torch.device) -> Network:
     return detect
 
 
-def _aliked(weights: str | None, device: torch.device) -> Network:
-    from kornia.feature import ALIKED  # noqa: PLC0415
-
-    if weights is None:
-        model = downloaded("ALIKED", "features.weights", lambda: ALIKED.from_pretrained(device=device))
-    else:
-        state = read_weights(weights)
-        model = loaded(ALIKED(_kind_of_aliked(state)), state, weights).to(device)
+def by_aliked(model: nn.Module) -> Network:
+    """What an ALIKED of kornia detects, which pads images itself."""
 
     def detect(image: Float[Tensor, "3 height width"]) -> Detected:
         (found,) = model(image[None])
@@ -176,7 +186,7 @@ def downloaded(name: str, option: str, download: Callable[[], nn.Module]) -> nn.
             warnings.simplefilter("ignore")  # of each source that it tries; the last says enough
             return download().eval()
     except (OSError, RuntimeError) as error:
-        reason = str(error).strip().split("\n", maxsplit=1)[0][:200].rstrip(".")
+        reason = str(error).strip().split("\n", maxsplit=1)[0].rpartition("Last error: ")[2][:100].rstrip(".")
         raise WeightsError(
             f"the weights of {name} cannot be downloaded by kornia ({reason}): name a file of them as {option}"
         ) from None

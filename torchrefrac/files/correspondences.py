@@ -58,7 +58,8 @@ def read_correspondences(
         if len(rows) and not ((rows >= 0).all() and (rows < counts).all()):
             raise CaptureError(f"{where} is of a keypoint that is not there; they have {counts[0]} and {counts[1]}")
         i, j = index[first], index[second]
-        joined[min(i, j), max(i, j)] = torch.from_numpy(rows if i < j else rows[:, ::-1].copy())
+        ordered = rows if i < j else rows[:, ::-1]
+        joined[min(i, j), max(i, j)] = torch.from_numpy(ordered[np.argsort(ordered[:, 0], kind="stable")])
     if not joined:
         raise CaptureError(f"{matches or path} has no matches of two of the images here; match them there first")
     none = torch.zeros(0, 2, dtype=torch.float64)

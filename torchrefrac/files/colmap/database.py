@@ -5,7 +5,7 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 
 from torchrefrac.scene import CaptureError
 
@@ -53,9 +53,7 @@ def _name(names: dict[int, str], image: int, path: Path) -> str:
     return names[image]
 
 
-def _array(
-    data: bytes | None, rows: int, columns: int, dtype: str, where: str
-) -> Float[np.ndarray, "rows columns"] | Int[np.ndarray, "rows columns"]:
+def _array(data: bytes | None, rows: int, columns: int, dtype: str, where: str) -> Shaped[np.ndarray, "rows columns"]:
     numbers = data or b""
     if len(numbers) != 4 * rows * columns:
         raise CaptureError(f"{where} take {len(numbers)} bytes, but must take {4 * rows * columns}")
