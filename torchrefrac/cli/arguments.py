@@ -13,8 +13,8 @@ QUIET = ("-q", "--quiet")
 MULTIRUN = ("-m", "--multirun")
 PATHS = (
     "alignment", "cache", "camera", "cameras", "capture", "cloud", "features.matches", "features.path",
-    "features.weights", "out", "photos", "run", "scene.file", "scene.path", "survey", "table", "tracks", "truth",
-    "water.path", "water.surface",
+    "features.weights", "matching.weights", "out", "photos", "run", "scene.file", "scene.path", "survey", "table",
+    "tracks", "truth", "water.path", "water.surface",
 )  # fmt: skip
 """The options that are names of files and folders."""
 FEATURE_FILES = (".db", ".h5", ".hdf5")

@@ -23,6 +23,7 @@ from torchrefrac.features import (
     match,
 )
 from torchrefrac.features.elsewhere import features_and_matches
+from torchrefrac.features.lightglue import match_by_lightglue
 from torchrefrac.features.matching import EXHAUSTIVE
 from torchrefrac.features.reduced import colors_at, nearest_pixels
 from torchrefrac.files.correspondences import read_correspondences
@@ -49,7 +50,7 @@ def extract(capture: Capture, options: Options, recorder: Recorder, work: Work |
     if isinstance(how, MadeElsewhereOptions):
         raise OptionError(f"features.method is {how.method!r}, by which no keypoints are looked for")
     if isinstance(how, SiftOptions):
-        sizes = _sizes(capture)
+        sizes = sizes_of(capture)
         how = how.for_images(sum(width * height for width, height in sizes) / len(sizes))
     each = [capture.of_views([image]) for image in range(len(capture))]
     weights = how.made_from if isinstance(how, NetworkOptions) else ()
@@ -72,7 +73,7 @@ def made_elsewhere(
 
     Photographs that the files lack are named, and have no keypoints. Raises CaptureError for files that cannot be used.
     """
-    found = read_correspondences(*options.paths, capture.names, _sizes(capture))
+    found = read_correspondences(*options.paths, capture.names, sizes_of(capture))
     if found.missing:
         some = ", ".join(found.missing[:3]) + (", ..." if len(found.missing) > 3 else "")
         recorder.note(f"{options.path} has no keypoints of {len(found.missing)} images, which remain out: {some}")
@@ -94,7 +95,7 @@ def _looked_up(job: tuple[Capture, Float[Tensor, "k 2"]]) -> Arrays:
     return {"used": used, "colors": colors_at(image, pixels).numpy()}
 
 
-def _sizes(capture: Capture) -> list[tuple[int, int]]:
+def sizes_of(capture: Capture) -> list[tuple[int, int]]:
     """Width and height of each photograph, in pixels."""
     return [capture.cameras.sizes[camera] for camera in capture.camera.tolist()]
 
@@ -106,13 +107,16 @@ def match_pairs(
     recorder: Recorder,
     work: Work | None = None,
     device: str = AUTO,
+    sizes: Sequence[tuple[int, int]] = (),
 ) -> list[PairMatches]:
-    """Matches of the pairs that were chosen; device: where descriptors are compared, see `device_of`."""
+    """Matches of the pairs that were chosen; device: where descriptors are compared, see `device_of`; sizes: width and
+    height of each photograph in pixels, which LightGlue needs."""
     if chosen.by != EXHAUSTIVE:
         recorder.note(f"{len(chosen.pairs)} of {chosen.possible} pairs are matched, chosen by {chosen.by}")
     work, pairs = work or Work(), chosen.pairs.tolist()
-    jobs = [_Pairs.of(features, pairs[start : start + AT_ONCE]) for start in range(0, len(pairs), AT_ONCE)]
-    made_from = options, chosen.pairs, [[of_image.pixels, of_image.descriptors] for of_image in features]
+    jobs = [_Pairs.of(features, pairs[start : start + AT_ONCE], sizes) for start in range(0, len(pairs), AT_ONCE)]
+    described = [[of_image.pixels, of_image.descriptors] for of_image in features]
+    made_from = options, chosen.pairs, described, *options.made_from
     seconds = AT_ONCE * SECONDS_A_PRODUCT * (sum(map(len, features)) / max(len(features), 1)) ** 2
     found: dict[int, list[PairMatches]] = {}
     with recorder.meter(len(pairs), "matching", "pair") as advance:
@@ -131,17 +135,25 @@ class _Pairs(NamedTuple):
 
     features: tuple[Features, ...]
     places: tuple[tuple[int, int], ...]
+    sizes: tuple[tuple[int, int], ...]
 
     @classmethod
-    def of(cls, features: Sequence[Features], pairs: Sequence[Sequence[int]]) -> "_Pairs":
+    def of(
+        cls, features: Sequence[Features], pairs: Sequence[Sequence[int]], sizes: Sequence[tuple[int, int]]
+    ) -> "_Pairs":
         images = sorted({image for pair in pairs for image in pair})
         place = {image: i for i, image in enumerate(images)}
-        return cls(tuple(features[image] for image in images), tuple((place[i], place[j]) for i, j in pairs))
+        places = tuple((place[i], place[j]) for i, j in pairs)
+        return cls(tuple(features[image] for image in images), places, tuple(sizes[image] for image in images if sizes))
 
 
 def _matches(options: MatchOptions, device: str, job: _Pairs) -> Arrays:
     """Of pairs that come one after the other, most of which have the first photograph in common."""
     on = device_of(device)
-    unit = lru_cache(maxsize=2)(lambda place: job.features[place].unit().to(on))
-    found = [match(unit(i), unit(j), options) for i, j in job.places]
+    if options.matcher == "lightglue":
+        some, sizes = job.features, job.sizes
+        found = [match_by_lightglue(some[i], some[j], (sizes[i], sizes[j]), options, on) for i, j in job.places]
+    else:
+        unit = lru_cache(maxsize=2)(lambda place: job.features[place].unit().to(on))
+        found = [match(unit(i), unit(j), options) for i, j in job.places]
     return {"count": np.array([len(one) for one in found]), "matches": torch.cat(found).cpu().numpy()}

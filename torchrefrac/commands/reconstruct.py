@@ -11,7 +11,7 @@ import torch
 
 from torchrefrac.commands.densify import dense_stage
 from torchrefrac.commands.pairs import FILE, ChosenPairs, choose_pairs, require_pairs
-from torchrefrac.commands.photographs import extract, made_elsewhere, match_pairs
+from torchrefrac.commands.photographs import extract, made_elsewhere, match_pairs, sizes_of
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.commands.sparse import SparseStage
 from torchrefrac.commands.survey_products import require_place, require_surface
@@ -202,5 +202,5 @@ def _matched(
     features = stage("features", lambda: extract(capture, options, recorder, work))
     chosen = stage.part("matching", lambda: choose_pairs(capture, features, options.matching, options.seed))
     stage("pairs", lambda: chosen)
-    matching = options.matching, recorder, work, options.device
+    matching = options.matching, recorder, work, options.device, sizes_of(capture)
     return features, stage.part("matching", lambda: match_pairs(features, chosen, *matching))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchrefrac.commands.pairs import ChosenPairs, pairs_left_out
-from torchrefrac.commands.photographs import match_pairs
+from torchrefrac.commands.photographs import match_pairs, sizes_of
 from torchrefrac.commands.verification import Verification, Verified
 from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.evaluate.doubts import doubts
@@ -106,8 +106,9 @@ class SparseStage:
         lost = len(found.views) - found.views.num_registered
         verify.recorder.note(f"{lost} images are not registered; they are matched with others, too")
         chosen = ChosenPairs(left, "what is missing", len(found.views))
-        options = verify.options
-        return match_pairs(verify.features, chosen, options.matching, verify.recorder, verify.work, options.device)
+        options, sizes = verify.options, sizes_of(self.stated)
+        how = options.matching, verify.recorder, verify.work, options.device, sizes
+        return match_pairs(verify.features, chosen, *how)
 
     def _assessed(self, found: Scene) -> Scene:
         """With what images say of what was stated, and where the scene stands on the map."""

@@ -141,6 +141,12 @@ class Options:
     def __post_init__(self) -> None:
         require_ranges(self, {"seed": SEED})
         device_of(self.device)
+        trained_on = f"kornia_{self.matching.trained_on}"
+        if self.matching.matcher == "lightglue" and getattr(self.features, "method", trained_on) != trained_on:
+            raise OptionError(
+                f"matching.matcher is 'lightglue', trained on {trained_on}, but features.method is "
+                f"{getattr(self.features, 'method', '')!r}: set features={trained_on}, or matching.trained_on"
+            )
         if self.outputs.for_surveys and self.dense.method == "none":
             raise OptionError(
                 "dense.method is 'none', but outputs.geotiff, laz and contours are made of the dense surface: set "
