@@ -33,7 +33,7 @@ class MadeElsewhereOptions:
 
 
 def features_and_matches(
-    found: Correspondences, used: Sequence[Bool[Tensor, " k"]], colors: Sequence[UInt8[Tensor, "k 3"]]
+    found: Correspondences, used: Sequence[Bool[Tensor, " _"]], colors: Sequence[UInt8[Tensor, "_ 3"]]
 ) -> tuple[list[Features], list[PairMatches]]:
     """Of each image the keypoints that may be used, and their matches in pairs of images that have any.
 
