@@ -17,7 +17,7 @@ GROUPS = sorted(
 )
 MISSING = {
     "scene/capture": ["scene.path=somewhere"], "scene/mesh": ["scene.file=some.ply"], "outputs/survey": ["dense=patch"],
-    "executor/dask": ["executor.address=tcp://there:8786"],
+    "matching/lightglue": ["features=kornia_disk"], "features/file": ["features.path=some.db"], "executor/dask": ["executor.address=tcp://there:8786"],
 }  # fmt: skip
 
 

@@ -12,10 +12,13 @@ from torchrefrac.cli.conf import CONF
 QUIET = ("-q", "--quiet")
 MULTIRUN = ("-m", "--multirun")
 PATHS = (
-    "alignment", "cache", "camera", "cameras", "capture", "cloud", "out", "photos", "run", "scene.file", "scene.path",
-    "survey", "table", "tracks", "truth", "water.path", "water.surface",
+    "alignment", "cache", "camera", "cameras", "capture", "cloud", "features.matches", "features.path",
+    "features.weights", "matching.weights", "out", "photos", "run", "scene.file", "scene.path", "survey", "table",
+    "tracks", "truth", "water.path", "water.surface",
 )  # fmt: skip
 """The options that are names of files and folders."""
+FEATURE_FILES = (".db", ".h5", ".hdf5")
+"""How files of keypoints are called that other programs made."""
 SEVERAL = ("photos",)
 """Of these the ones that may be lists of them."""
 
@@ -32,12 +35,20 @@ def for_hydra(arguments: Sequence[str]) -> list[str]:
     one choice of a sweep the option is left to the jobs.
     """
     given = ["quiet=true" if argument in QUIET else argument for argument in arguments]
+    given = [word for argument in given for word in _with_file_of_features(argument)]
     is_sweep = any(argument in MULTIRUN or argument.startswith("sweep=") for argument in given)
     given = [_with_path(argument, is_sweep) for argument in given]
     if not is_sweep:
         return given
     groups = {path.name for path in CONF.iterdir() if path.is_dir()} - {"hydra"}
     return [_left_to_the_jobs(argument) if _head(argument) in groups else argument for argument in given]
+
+
+def _with_file_of_features(argument: str) -> tuple[str, ...]:
+    """`features=FILE` as the group and its path."""
+    name, _, value = argument.partition("=")
+    is_file = name == "features" and value.lower().endswith(FEATURE_FILES) and "," not in value
+    return ("features=file", f"features.path={value}") if is_file else (argument,)
 
 
 def _with_path(argument: str, is_sweep: bool) -> str:

@@ -17,6 +17,8 @@ from torchrefrac.scene import Capture
 from torchrefrac.scene.interfaces import SURFACE
 from torchrefrac.sfm.footprints import NO_OVERLAP, has_position, position_scores
 
+FILE = "file"
+"""How pairs were chosen that a file lists."""
 FEW = 40
 """Photographs, below which all pairs are matched."""
 UNLIKELY = -4.0
@@ -66,7 +68,7 @@ def choose_pairs(capture: Capture, features: Sequence[Features], options: MatchO
     if ways == (EXHAUSTIVE,):
         return ChosenPairs(pairs_of(every_pair(count)), EXHAUSTIVE, count)
     if options.pairs not in WAYS:
-        return ChosenPairs(pairs_of(read_match_list(Path(options.pairs), capture.names)), "file", count)
+        return ChosenPairs(pairs_of(read_match_list(Path(options.pairs), capture.names)), FILE, count)
     chosen, known = ~every_pair(count) & every_pair(count), has_position(capture)
     score = torch.full((count, count), UNLIKELY, dtype=torch.float64)
     if ways != (POSITIONS,) or not bool(known.all()):

@@ -10,8 +10,8 @@ from typing import Any
 import torch
 
 from torchrefrac.commands.densify import dense_stage
-from torchrefrac.commands.pairs import choose_pairs, require_pairs
-from torchrefrac.commands.photographs import extract, match_pairs
+from torchrefrac.commands.pairs import FILE, ChosenPairs, choose_pairs, require_pairs
+from torchrefrac.commands.photographs import extract, made_elsewhere, match_pairs, sizes_of
 from torchrefrac.commands.run_folder import RunFolder
 from torchrefrac.commands.sparse import SparseStage
 from torchrefrac.commands.survey_products import require_place, require_surface
@@ -20,7 +20,7 @@ from torchrefrac.config import Options, WaterOptions
 from torchrefrac.evaluate.land import land_difference
 from torchrefrac.evaluate.metrics import evaluate_run
 from torchrefrac.evaluate.survey_metrics import survey_metrics
-from torchrefrac.features import Features, PairMatches
+from torchrefrac.features import Features, MadeElsewhereOptions, PairMatches
 from torchrefrac.figures.matches import StagePictures
 from torchrefrac.files.paths import real_path
 from torchrefrac.files.run import WORK
@@ -74,8 +74,7 @@ def reconstruct(
     stage = _Stages(on_stage)
     generator = torch.Generator().manual_seed(options.seed)
 
-    features = stage("features", lambda: extract(capture, options, recorder, work))
-    matches = stage.part("matching", lambda: _matched(capture, features, options, recorder, stage, work))
+    features, matches = _matched(capture, options, recorder, stage, work)
     ratio, stated = options.water.ratio_of(capture.index_ratio), capture
     if options.model.name == "refractive" and ratio > 1.0 and not capture.interfaces.move_with_camera:
         known = matches, features, ratio, options.sfm
@@ -190,9 +189,18 @@ class _Stages:
 
 
 def _matched(
-    capture: Capture, features: list[Features], options: Options, recorder: Recorder, stage: _Stages, work: Work
-) -> list[PairMatches]:
-    """Matches of those pairs that are worth it."""
-    chosen = choose_pairs(capture, features, options.matching, options.seed)
+    capture: Capture, options: Options, recorder: Recorder, stage: _Stages, work: Work
+) -> tuple[list[Features], list[PairMatches]]:
+    """Keypoints, and matches of those pairs that are worth it, or both as another program made them."""
+    how = options.features
+    if isinstance(how, MadeElsewhereOptions):
+        features, matches = stage.part("features", lambda: made_elsewhere(capture, how, recorder, work))
+        stage("features", lambda: features)
+        pairs = torch.tensor([(pair.first, pair.second) for pair in matches])
+        stage("pairs", lambda: ChosenPairs(pairs, FILE, len(capture)))
+        return features, matches
+    features = stage("features", lambda: extract(capture, options, recorder, work))
+    chosen = stage.part("matching", lambda: choose_pairs(capture, features, options.matching, options.seed))
     stage("pairs", lambda: chosen)
-    return match_pairs(features, chosen, options.matching, recorder, work, options.device)
+    matching = options.matching, recorder, work, options.device, sizes_of(capture)
+    return features, stage.part("matching", lambda: match_pairs(features, chosen, *matching))

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchrefrac.commands.pairs import ChosenPairs, pairs_left_out
-from torchrefrac.commands.photographs import match_pairs
+from torchrefrac.commands.photographs import match_pairs, sizes_of
 from torchrefrac.commands.verification import Verification, Verified
 from torchrefrac.evaluate.consistency import contradictions
 from torchrefrac.evaluate.doubts import doubts
 from torchrefrac.evaluate.survey_consistency import position_contradictions
-from torchrefrac.features import PairMatches, build_tracks
+from torchrefrac.features import MadeElsewhereOptions, PairMatches, build_tracks
 from torchrefrac.features.matching import WAYS
 from torchrefrac.scene import Capture, Scene, Survey, WarningCode
 from torchrefrac.sfm import (
@@ -72,7 +72,8 @@ class SparseStage:
         """Matches of photographs that are not registered with all that they were not matched with, unless a file lists
         the pairs."""
         verify = self.verify
-        if verify.options.matching.pairs not in WAYS or bool(found.views.registered.all()):
+        given = isinstance(verify.options.features, MadeElsewhereOptions) or verify.options.matching.pairs not in WAYS
+        if given or bool(found.views.registered.all()):
             return []
         tried = torch.tensor([(pair.first, pair.second) for pair in verify.matches])
         left = pairs_left_out(tried, found.views.registered)
@@ -81,8 +82,9 @@ class SparseStage:
         lost = len(found.views) - found.views.num_registered
         verify.recorder.note(f"{lost} images are not registered; they are matched with others, too")
         chosen = ChosenPairs(left, "what is missing", len(found.views))
-        options = verify.options
-        return match_pairs(verify.features, chosen, options.matching, verify.recorder, verify.work, options.device)
+        options, sizes = verify.options, sizes_of(self.stated)
+        how = options.matching, verify.recorder, verify.work, options.device, sizes
+        return match_pairs(verify.features, chosen, *how)
 
     def _assessed(self, found: Scene) -> Scene:
         """With what images say of what was stated, and where the scene stands on the map."""

@@ -73,12 +73,24 @@ def _convert_union(choices: tuple[Any, ...], value: Any, path: str) -> Any:
     if value in words or (value is None and type(None) in choices):
         return value
     kinds = [choice for choice in choices if choice is not type(None) and get_origin(choice) is not Literal]
+    groups = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
+    if len(groups) > 1 and isinstance(value, Mapping):
+        return _convert(_by_method(groups, value, path), value, path)
     fitting = [kind for kind in kinds if isinstance(value, list | tuple if get_origin(kind) is tuple else kind)]
     kind = (fitting or kinds)[0]
     try:
         return _convert(kind, value, path)
     except OptionError as error:
         raise OptionError(", or ".join((str(error), *words))) from None
+
+
+def _by_method(groups: list[Any], value: Mapping[str, Any], path: str) -> Any:
+    """Of groups of options the one whose `method` is named, by default the first."""
+    known = {method: group for group in groups for method in get_args(get_type_hints(group)["method"])}
+    method = value.get("method", next(iter(known)))
+    if method not in known:
+        raise OptionError(f"{path}.method is {method!r}, but must be one of {', '.join(known)}")
+    return known[method]
 
 
 def _join(path: str, name: str) -> str:

@@ -8,7 +8,7 @@ from torchrefrac.checks import Range, require_ranges
 from torchrefrac.config.build import OptionError
 from torchrefrac.config.scenes import FolderOptions
 from torchrefrac.dense import DenseOptions
-from torchrefrac.features import MatchOptions, SiftOptions
+from torchrefrac.features import Extractor, MadeElsewhereOptions, MatchOptions, NetworkOptions, SiftOptions
 from torchrefrac.files.geotiff import require_geotiff
 from torchrefrac.files.las import require_las
 from torchrefrac.numerics import AUTO, device_of
@@ -119,15 +119,16 @@ class Options:
 
     survey: path of a survey.json, a gcp_list.txt or a table of control points; None: the survey.json beside the
     capture.json, if there is one. compare_land: whether the photographs are reconstructed without refraction, too, to
-    say how far land differs. colmap: whether the run writes its scene as a COLMAP model, too. device: where
-    descriptors are matched, see `device_of`; `sfm` and `dense` have their own.
+    say how far land differs. colmap: whether the run writes its scene as a COLMAP model, too. features: how keypoints
+    are found, or an `Extractor` of one's own. device: where networks find them and descriptors are matched, see
+    `device_of`; `sfm` and `dense` have their own.
 
     Raises OptionError for values that cannot be right, and for products of a dense surface where none is asked for.
     """
 
     model: ModelOptions = field(default_factory=ModelOptions)
     water: WaterOptions = field(default_factory=WaterOptions)
-    features: SiftOptions = field(default_factory=SiftOptions)
+    features: SiftOptions | NetworkOptions | MadeElsewhereOptions | Extractor = field(default_factory=SiftOptions)
     matching: MatchOptions = field(default_factory=MatchOptions)
     sfm: SfmOptions = field(default_factory=SfmOptions)
     dense: DenseOptions = field(default_factory=DenseOptions)
@@ -142,6 +143,12 @@ class Options:
     def __post_init__(self) -> None:
         require_ranges(self, {"seed": SEED})
         device_of(self.device)
+        trained_on = f"kornia_{self.matching.trained_on}"
+        if self.matching.matcher == "lightglue" and getattr(self.features, "method", trained_on) != trained_on:
+            raise OptionError(
+                f"matching.matcher is 'lightglue', trained on {trained_on}, but features.method is "
+                f"{getattr(self.features, 'method', '')!r}: set features={trained_on}, or matching.trained_on"
+            )
         if self.outputs.for_surveys and self.dense.method == "none":
             raise OptionError(
                 "dense.method is 'none', but outputs.geotiff, laz and contours are made of the dense surface: set "

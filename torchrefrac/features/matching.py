@@ -1,13 +1,17 @@
 """Descriptor matching: mutual nearest neighbours that pass Lowe's ratio test."""
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchrefrac.checks import Range, require_ranges
+from torchrefrac.features.networks import require_file
 from torchrefrac.features.rough_products import Nearest, RoughDescriptors, nearest_of
+from torchrefrac.files.fingerprint import fingerprint_of_file
 
 AT_ONCE = 1 << 24
 """Products that are looked for exactly at a time."""
@@ -26,17 +30,29 @@ class MatchOptions:
 
     pairs: which photographs are matched, one of WAYS or the path of a list of pairs. per_image: partners that each has
     by positions, and by retrieval, at most. window: neighbours on either side in the order of names.
+
+    matcher: nearest neighbours, or LightGlue, which needs keypoints of the network that it was trained_on. weights:
+    path of a file of LightGlue's, by default those that kornia downloads.
     """
 
     ratio: float = 0.8
     pairs: str = AUTO
     per_image: int = 30
     window: int = 10
+    matcher: Literal["nearest", "lightglue"] = "nearest"
+    weights: str | None = None
+    trained_on: Literal["disk", "aliked"] = "disk"
 
     def __post_init__(self) -> None:
         require_ranges(self, RANGES)
         if not self.pairs.strip():
             raise ValueError(f"pairs is empty, but must be {', '.join(WAYS)}, or the path of a list of pairs")
+        require_file(self.weights)
+
+    @property
+    def made_from(self) -> tuple[str, ...]:
+        """What is in the file of weights, as a fingerprint."""
+        return () if self.weights is None else (fingerprint_of_file(Path(self.weights)),)
 
 
 def match(

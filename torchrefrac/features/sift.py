@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from torchrefrac.checks import Range, require_ranges
+from torchrefrac.features.reduced import colors_at, distance_to_unused, nearest_pixels, reduced, reduced_mask
 from torchrefrac.files.photographs import read_color
 from torchrefrac.numerics import equal_before
 
@@ -54,6 +55,7 @@ class SiftOptions:
     edge_threshold: float = 10.0
     max_pixels: float = 10e6
     choice: Literal["auto", "strongest", "largest"] = "auto"
+    method: Literal["sift"] = "sift"
 
     def __post_init__(self) -> None:
         require_ranges(self, RANGES)
@@ -104,10 +106,10 @@ def extract_sift(path: Path, options: SiftOptions, used: Bool[Tensor, "height wi
     `enable_precise_upscale` is on: without it OpenCV places keypoints a quarter of a pixel off. OpenCV's pixel (0, 0)
     is (0.5, 0.5) here.
     """
-    image, (across, down) = _reduced(read_color(path), options.max_pixels)
+    image, (across, down) = reduced(read_color(path), options.max_pixels)
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     options = options.for_images(grey.size)
-    allowed = None if used is None else _resized_mask(used, grey)
+    allowed = None if used is None else reduced_mask(used, *grey.shape)
     share = 1.0 if allowed is None else float(allowed.mean())
     enough = min(share * grey.size / PIXELS_A_KEYPOINT, ENOUGH, options.max_features)
     if options.choice == "largest":
@@ -119,38 +121,13 @@ def extract_sift(path: Path, options: SiftOptions, used: Bool[Tensor, "height wi
     keypoints, descriptors = _sift(options, FAINTEST).compute(grey, keypoints)
     if not len(keypoints):
         descriptors = np.zeros((0, 128), dtype=np.float32)
-    column, row = _nearest_pixels(keypoints, grey)
-    colors = image[row, column, ::-1]
+    pixels = torch.from_numpy(_positions(keypoints)) + 0.5
     return Features(
-        pixels=(torch.from_numpy(_positions(keypoints)) + 0.5) * torch.tensor((across, down), dtype=torch.float64),
+        pixels=pixels * torch.tensor((across, down), dtype=torch.float64),
         descriptors=torch.from_numpy(descriptors.astype(np.uint8)),  # whole numbers up to 255
-        colors=torch.from_numpy(np.ascontiguousarray(colors)),
+        colors=colors_at(image, pixels),
         noise=torch.full((len(keypoints),), math.sqrt(across * down), dtype=torch.float64),
     )
-
-
-def _reduced(
-    image: UInt8[np.ndarray, "height width 3"], max_pixels: float
-) -> tuple[UInt8[np.ndarray, "rows columns 3"], tuple[float, float]]:
-    """The image, made smaller where it has more pixels, and the width and height of what a pixel of it covers."""
-    height, width = image.shape[:2]
-    share = math.sqrt(max_pixels / (width * height))
-    if share >= 1.0:
-        return image, (1.0, 1.0)
-    columns, rows = max(round(share * width), 1), max(round(share * height), 1)
-    reduced = cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA)
-    return reduced, (width / columns, height / rows)
-
-
-def _resized_mask(
-    used: Bool[Tensor, "height width"], grey: UInt8[np.ndarray, "rows columns"]
-) -> UInt8[np.ndarray, "rows columns"]:
-    """Which pixels of the reduced image show only pixels that may be used."""
-    rows, columns = grey.shape
-    if used.shape == grey.shape:
-        return used.byte().numpy()
-    share = cv2.resize(used.float().numpy(), (columns, rows), interpolation=cv2.INTER_AREA)
-    return (share > 1.0 - 1e-6).astype(np.uint8)
 
 
 def _sift(options: SiftOptions, faintest: float) -> cv2.SIFT:
@@ -173,9 +150,8 @@ def _detect(
     found = _sift(options, faintest).detect(grey, None)  # type: ignore[call-overload]
     if used is None:
         return found
-    distance = cv2.distanceTransform(used, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    column, row = _nearest_pixels(found, grey)
-    far = zip(found, distance[row, column].tolist(), strict=True)
+    column, row = nearest_pixels(_positions(found), *grey.shape)
+    far = zip(found, distance_to_unused(used)[row, column].tolist(), strict=True)
     return [keypoint for keypoint, away in far if away > REACH * keypoint.size]
 
 
@@ -210,11 +186,3 @@ def _largest(keypoints: Sequence[cv2.KeyPoint], options: SiftOptions) -> list[cv
 
 def _positions(keypoints: Sequence[cv2.KeyPoint]) -> Float[np.ndarray, "k 2"]:
     return np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64).reshape(-1, 2)
-
-
-def _nearest_pixels(
-    keypoints: Sequence[cv2.KeyPoint], grey: UInt8[np.ndarray, "height width"]
-) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-    """Column and row of each."""
-    column, row = np.rint(_positions(keypoints)).astype(int).T
-    return column.clip(0, grey.shape[1] - 1), row.clip(0, grey.shape[0] - 1)

@@ -26,6 +26,12 @@ def fingerprint_of(*things: Any) -> str:
     return digest.hexdigest()[:LENGTH]
 
 
+def fingerprint_of_file(path: Path) -> str:
+    """Hexadecimal digits that are the same for files of the same content, whatever they are called."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:LENGTH]
+
+
 def _take(digest: "hashlib._Hash", thing: Any) -> None:
     digest.update(type(thing).__name__.encode() + b":")
     if thing is None or isinstance(thing, str | bytes | bool | int | float | Enum):

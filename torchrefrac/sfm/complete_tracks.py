@@ -91,7 +91,7 @@ def _look(
     view: int,
     wanted: Bool[Tensor, " n"],
     keypoints: _Keypoints,
-    descriptor: Float[Tensor, "n 128"],
+    descriptor: Float[Tensor, "n d"],
     limits: tuple[float, float],
 ) -> _Found:
     """What a view shows of the points `wanted`. limits: of errors over noise, and in pixels."""
@@ -134,9 +134,7 @@ def _keypoints_of(seen: Observations, keypoints: Sequence[_Keypoints]) -> Int[Te
     return keypoint
 
 
-def _mean_descriptors(
-    scene: Scene, features: Sequence[Features], keypoint: Int[Tensor, " k"]
-) -> Float[Tensor, "n 128"]:
+def _mean_descriptors(scene: Scene, features: Sequence[Features], keypoint: Int[Tensor, " k"]) -> Float[Tensor, "n d"]:
     """Of the accepted observations of each point, of length one."""
     seen = scene.observations
     total = torch.zeros(len(scene.points), features[0].descriptors.shape[1])
