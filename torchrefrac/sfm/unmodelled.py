@@ -47,8 +47,8 @@ def errors_in_air_and_water(scene: Scene, stated: Capture) -> tuple[float, float
 
 def fits_better_in_air(scene: Scene, stated: Capture) -> bool:
     """Whether a part of a scene that was reconstructed through water agrees as well with itself without, or better: it
-    may show land. Through water, whose level is one more thing that adapts to errors, it must agree clearly better. Both
-    are adjusted from what the scene has, with the intrinsics as uncertain as they are stated to be."""
+    may show land. Through water, whose level is one more thing that adapts to errors, it must agree clearly better.
+    Both are adjusted from what the scene has, with the intrinsics as uncertain as they are stated to be."""
     part = _best_seen(scene)
     if len(part.points) < LEAST_POINTS:
         return False
