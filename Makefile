@@ -46,5 +46,5 @@ clean:
 # Remade whenever the versions or the package's own requirements change.
 $(READY): constraints.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[cluster,colmap,dev,docs,geo,sweep]"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[cluster,colmap,dev,docs,geo,hloc,sweep]"
 	@touch $@

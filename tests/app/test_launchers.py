@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 
 from torchrefrac.cli import commands
 from torchrefrac.cli.conf import CONF
+from torchrefrac.config import OptionError
 
 ONE_FAILS = ("model=refractive", "water.index_ratio=1.33,abc", "features.max_features=300")
 
@@ -139,3 +140,47 @@ class _Hidden:
     def find_spec(self, name, path=None, target=None):
         if name.startswith(self.package):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of what Optuna imports
+def test_a_sweeper_that_optimises_gets_the_objective_of_each_run(torchrefrac, half_of_tank, tmp_path):
+    _needs("hydra_plugins.hydra_optuna_sweeper")
+    where = (
+        "scene=capture",
+        f"scene.path={half_of_tank([0, 3])}",
+        "features.max_features=300",
+        "report=false",
+        "out=runs",
+    )
+    trials = (
+        "hydra/sweeper=optuna",
+        "hydra.sweeper.n_trials=2",
+        "hydra.sweeper.n_jobs=1",
+        "hydra.sweeper.sampler.seed=1",
+    )
+
+    ended = torchrefrac("-m", *where, *trials, "objective=points", "sfm.max_error=interval(1.0,6.0)")
+
+    assert ended.status == 0, ended.err
+    points = [json.loads(path.read_text())["points"] for path in (tmp_path / "runs").glob("*/metrics.json")]
+    best = OmegaConf.load(tmp_path / "runs" / "optimization_results.yaml")
+    assert len(points) == 2
+    assert best.best_value == min(points)
+
+
+@pytest.mark.parametrize(
+    ("metrics", "name", "wanted"),
+    [
+        ({"camera_rms_cm": 0.5, "reprojection_median_px": 0.1}, None, 0.5),
+        ({"status": "complete", "reprojection_median_px": 0.1}, None, 0.1),
+        ({"camera_rms_cm": 0.5, "dense_surface_median_cm": 0.2}, "dense_surface_median_cm", 0.2),
+        ({}, None, None),
+    ],
+)
+def test_the_objective_is_an_error(metrics, name, wanted):
+    assert commands.objective(metrics, name) == wanted
+
+
+def test_an_objective_that_the_run_does_not_have_is_named():
+    with pytest.raises(OptionError, match="objective is 'status', but must be a number .*: points"):
+        commands.objective({"status": "complete", "points": 7}, "status")

@@ -3,7 +3,6 @@
 import sqlite3
 import sys
 from contextlib import closing
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -93,27 +92,17 @@ def test_a_file_that_is_no_database_is_refused(tmp_path):
             read_correspondences(tmp_path / name, None, NAMES, SIZES)
 
 
-class _Group(dict):
-    """What h5py gives, of what is read here."""
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        pass
-
-
 @pytest.fixture
-def hloc(tmp_path, monkeypatch):
-    """The two files of hloc by a stand-in for h5py, which is not among the packages for tests."""
-    keypoints = _Group(left=_Group({name: _Group(keypoints=np.array(places) - 0.5) for name, places in PIXELS.items()}))
+def hloc(tmp_path):
+    """The folder of the two files of hloc, as h5py writes them."""
+    h5py = pytest.importorskip("h5py", reason="needs torchrefrac[hloc]")
+    with h5py.File(tmp_path / "features.h5", "w") as file:
+        for name, places in PIXELS.items():
+            file[f"left/{name}/keypoints"] = np.array(places) - 0.5
     partner = np.full(3, -1)
     partner[[2, 0]] = 0, 1
-    matches = _Group({"left-a.jpg": _Group({"left-b.jpg": _Group(matches0=partner)})})
-    contents = {"features.h5": keypoints, "matches.h5": matches}
-    monkeypatch.setitem(sys.modules, "h5py", SimpleNamespace(File=lambda path, mode: contents[path.name]))
-    for name in contents:
-        (tmp_path / name).touch()
+    with h5py.File(tmp_path / "matches.h5", "w") as file:
+        file["left-a.jpg/left-b.jpg/matches0"] = partner
     return tmp_path
 
 

@@ -3,7 +3,7 @@
 import os
 import shlex
 import sys
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,10 @@ from torchrefrac.commands.frames import SUMMARY, densify_frames, frame_lines
 from torchrefrac.commands.memory import memory_lack_explained
 from torchrefrac.commands.reconstruct import run
 from torchrefrac.commands.results import OPTIONS, require_not_replaced, require_outside, results_in
-from torchrefrac.config import AdjustOptions, DensifyOptions, FolderOptions, RunOptions, scene_folder
+from torchrefrac.config import AdjustOptions, DensifyOptions, FolderOptions, OptionError, RunOptions, scene_folder
 from torchrefrac.dense import DenseError
 from torchrefrac.files.capture import load_capture
-from torchrefrac.files.run import RunRecord
+from torchrefrac.files.run import RunRecord, is_number
 from torchrefrac.files.swap import home
 from torchrefrac.files.truth import load_truth
 from torchrefrac.html import write_report
@@ -41,20 +41,21 @@ ONE_BY_ONE = "hydra._internal.core_plugins.basic_launcher.BasicLauncher"
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")
-def reconstruct(config: DictConfig) -> None:
-    """`torchrefrac`: one run, or one job of a sweep, which raises what goes wrong (see `CompareRuns`)."""
+def reconstruct(config: DictConfig) -> float | None:
+    """`torchrefrac`: one run, or one job of a sweep, which raises what goes wrong (see `CompareRuns`). Returns what a
+    sweeper that optimises makes small."""
     settings = HydraConfig.get()
     folder = Path(settings.runtime.output_dir)
     if settings.mode is RunMode.MULTIRUN:
-        reconstruct_into(folder, run_options(config), settings, config)
-        return
+        return reconstruct_into(folder, run_options(config), settings, config)
     before = record_text(folder)
     try:
-        reconstruct_into(folder, run_options(config), settings, config)
+        return reconstruct_into(folder, run_options(config), settings, config)
     except EXPECTED as error:
         keep_failure(error, config, list(settings.overrides.task), folder, before)
         tell(error, folder)
         _report_failure(config, folder, before)
+    return None
 
 
 def is_watched(settings: Any) -> bool:
@@ -62,8 +63,9 @@ def is_watched(settings: Any) -> bool:
     return settings.mode is RunMode.RUN or str(settings.launcher["_target_"]) == ONE_BY_ONE
 
 
-def reconstruct_into(folder: Path, options: RunOptions, settings: Any, config: DictConfig) -> None:
-    """One run, reported on the terminal where it is watched; `folder` holds its results, or is as it was."""
+def reconstruct_into(folder: Path, options: RunOptions, settings: Any, config: DictConfig) -> float | None:
+    """One run, reported on the terminal where it is watched; `folder` holds its results, or is as it was. Returns its
+    objective."""
     if isinstance(options.scene, FolderOptions):
         require_outside(folder, scene_folder(options.scene, None, SilentRecorder()))
     require_not_replaced(folder, "survey", options.reconstruction.survey)
@@ -71,12 +73,23 @@ def reconstruct_into(folder: Path, options: RunOptions, settings: Any, config: D
         told = {"config": config, "hydra": {"hydra": settings}, "overrides": settings.overrides.task}
         for name, content in told.items():
             _save(content, place / OPTIONS / f"{name}.yaml", resolve=False)
-        _reconstruct(place, options, settings)
+        metrics = _reconstruct(place, options, settings)
         if settings.mode is RunMode.RUN:
             _report(place, options.output.report)
+    return objective(metrics, options.output.objective)
 
 
-def _reconstruct(place: Path, options: RunOptions, settings: Any) -> None:
+def objective(metrics: Mapping[str, Any], name: str | None) -> float | None:
+    """The metric of this name; by default the error of the cameras against the truth, or where that is not known that
+    of reprojection. Raises OptionError where the run has no such number."""
+    numbers = {key: float(value) for key, value in metrics.items() if is_number(value)}
+    if name is not None and name not in numbers:
+        raise OptionError(f"objective is {name!r}, but must be a number that metrics.json has: {', '.join(numbers)}")
+    default = next((key for key in numbers if key.startswith("camera_rms_")), "reprojection_median_px")
+    return numbers.get(name or default)
+
+
+def _reconstruct(place: Path, options: RunOptions, settings: Any) -> Mapping[str, Any]:
     quiet = options.output.quiet or not is_watched(settings)
     overrides = by_name(settings.overrides.task)
     with _recorders(place, quiet) as recorder:
@@ -90,6 +103,7 @@ def _reconstruct(place: Path, options: RunOptions, settings: Any) -> None:
         recorder.hparams(_compared(options, capture, overrides), metrics)
     if not quiet:
         print(summary(reconstruction_lines(metrics)))
+    return metrics
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="adjust")

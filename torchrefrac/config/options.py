@@ -159,12 +159,14 @@ class Options:
 @dataclass(frozen=True)
 class OutputOptions:
     """out: folder for the results. cache: folder where made scenes are kept, by default the user's cache. quiet: only
-    errors are said. report: whether report.html is written."""
+    errors are said. report: whether report.html is written. objective: the metric that a sweeper which optimises makes
+    small, by default the error of the cameras where the truth is known, else that of reprojection."""
 
     out: str
     cache: str | None = None
     quiet: bool = False
     report: bool = True
+    objective: str | None = None
 
     def __post_init__(self) -> None:
         _require_out(self.out)

@@ -10,7 +10,13 @@ from torchrefrac.atomic import replacing
 from torchrefrac.files.run import METRICS, RunRecord, RunRecordError, RunStatus
 
 MEMORY = "sweep.json"
-NO_SETTINGS = ("out", "cache", "quiet", "report")  # say where a job is kept and what it prints, not what it is
+NO_SETTINGS = (
+    "out",
+    "cache",
+    "quiet",
+    "report",
+    "objective",
+)  # say where a job is kept and what it prints, not what it is
 
 
 @dataclass(frozen=True)
