@@ -145,21 +145,11 @@ class _Hidden:
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of what Optuna imports
 def test_a_sweeper_that_optimises_gets_the_objective_of_each_run(torchrefrac, half_of_tank, tmp_path):
     _needs("hydra_plugins.hydra_optuna_sweeper")
-    where = (
-        "scene=capture",
-        f"scene.path={half_of_tank([0, 3])}",
-        "features.max_features=300",
-        "report=false",
-        "out=runs",
-    )
-    trials = (
-        "hydra/sweeper=optuna",
-        "hydra.sweeper.n_trials=2",
-        "hydra.sweeper.n_jobs=1",
-        "hydra.sweeper.sampler.seed=1",
-    )
+    where = ("scene=capture", f"scene.path={half_of_tank([0, 3])}", "report=false", "out=runs")
+    sweeper = [f"hydra.sweeper.{each}" for each in ("n_trials=2", "n_jobs=1", "sampler.seed=1")]
+    options = ("features.max_features=300", "objective=points", "sfm.max_error=interval(1.0,6.0)")
 
-    ended = torchrefrac("-m", *where, *trials, "objective=points", "sfm.max_error=interval(1.0,6.0)")
+    ended = torchrefrac("-m", "hydra/sweeper=optuna", *sweeper, *where, *options)
 
     assert ended.status == 0, ended.err
     points = [json.loads(path.read_text())["points"] for path in (tmp_path / "runs").glob("*/metrics.json")]
@@ -182,5 +172,5 @@ def test_the_objective_is_an_error(metrics, name, wanted):
 
 
 def test_an_objective_that_the_run_does_not_have_is_named():
-    with pytest.raises(OptionError, match="objective is 'status', but must be a number .*: points"):
+    with pytest.raises(OptionError, match=r"objective is 'status', but must be a number .*: points"):
         commands.objective({"status": "complete", "points": 7}, "status")

@@ -10,13 +10,8 @@ from torchrefrac.atomic import replacing
 from torchrefrac.files.run import METRICS, RunRecord, RunRecordError, RunStatus
 
 MEMORY = "sweep.json"
-NO_SETTINGS = (
-    "out",
-    "cache",
-    "quiet",
-    "report",
-    "objective",
-)  # say where a job is kept and what it prints, not what it is
+NO_SETTINGS = ("out", "cache", "quiet", "report", "objective")
+"""What says where a job is and what it prints, not what it is."""
 
 
 @dataclass(frozen=True)
