@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from torchrefrac.cli import commands
 from torchrefrac.commands import sparse as sparse_stage
+from torchrefrac.config import FolderOptions, ModelOptions, Options, OutputOptions, RunOptions, WaterOptions
 from torchrefrac.files.cameras import load_cameras, load_points
+from torchrefrac.files.capture import load_capture
 
 RESULTS = {"cameras.json", "points.ply", "metrics.json", "side_view.png", "features.npz", "matches.npz", "tracks.npz"}
 
@@ -164,3 +167,13 @@ def test_the_installed_command_answers():
     ended = subprocess.run([*command, "--help"], capture_output=True, text=True, check=False)
     assert ended.returncode == 0
     assert "tank_small" in ended.stdout
+
+
+@pytest.mark.parametrize(("model", "ratio"), [("none", 1.0), ("radial", 1.0), ("refractive", 1.333)])
+def test_the_table_of_runs_has_the_index_ratio_that_a_model_sees(half_of_tank, model, ratio):
+    capture = load_capture(half_of_tank([0, 3]))
+    options = Options(model=ModelOptions(name=model), water=WaterOptions(index_ratio=1.333))
+
+    compared = commands._compared(RunOptions(FolderOptions("tank_small"), options, OutputOptions(out="run")), capture, {})
+
+    assert (compared["model"], compared["water.index_ratio"]) == (model, ratio)

@@ -161,7 +161,7 @@ def test_the_best_pairs_are_shown_of_which_none_shares_an_image_where_that_is_po
 
     record_matches(capture, [features(image) for image in range(4)], pairs, album)
 
-    assert list(album.pictures) == ["matches/1", "matches/2", "matches/3"]
+    assert list(album.pictures) == ["matches/0 - 1", "matches/2 - 3", "matches/0 - 2"]
     assert read == ["0.png", "1.png", "2.png", "3.png", "0.png", "2.png"]
 
 

@@ -198,10 +198,11 @@ def may_fail(folder: Path | None = None) -> Generator[None, None, None]:
 def _compared(options: RunOptions, capture: Capture, overrides: dict[str, str]) -> dict[str, Any]:
     """What TensorBoard's table of runs compares: the same of all runs, and the overrides of this one."""
     chosen = options.reconstruction
+    refracts = chosen.model.name == "refractive"
     common = {
         "scene": options.scene.label,
         "model": chosen.model.name,
-        "water.index_ratio": chosen.water.ratio_of(capture.index_ratio),
+        "water.index_ratio": chosen.water.ratio_of(capture.index_ratio) if refracts else 1.0,
         "dense": chosen.dense.method,
         "seed": chosen.seed,
     }

@@ -49,13 +49,14 @@ def record_matches(
     photographs are read for them. Nothing where the recorder wants none."""
     if not recorder.wants_pictures:
         return
-    for step, pair in enumerate(_best(pairs)):
+    for pair in _best(pairs):
         first, second = pair.pair.first, pair.pair.second
         one, two = (features[image].pixels[pair.pair.matches[:, k]] for k, image in enumerate((first, second)))
         picture = match_picture(read_color(capture.paths[first]), read_color(capture.paths[second]), one, two)
-        names = " - ".join(capture.names[image] for image in (first, second))
-        _write(picture, f"{names}: {len(pair.pair)} of {pair.num_putative} matches agree on a pose")
-        recorder.picture(f"matches/{step + 1}", torch.from_numpy(picture), 0)
+        names = [capture.names[image] for image in (first, second)]
+        agree = f"{len(pair.pair)} of {pair.num_putative} matches agree on a pose"
+        _write(picture, f"{names[0]} - {names[1]}: {agree}")
+        recorder.picture(f"matches/{' - '.join(map(_stem, names))}", torch.from_numpy(picture), 0)
 
 
 def record_residuals(capture: Capture, scene: Scene, recorder: Recorder) -> None:
@@ -73,7 +74,11 @@ def record_residuals(capture: Capture, scene: Scene, recorder: Recorder) -> None
         median = float(residuals[here].norm(dim=-1).median()) if bool(here.any()) else 0.0
         about = f"{int(here.sum())} residuals {factor} times as long, median {median:.2f} px"
         _write(picture, f"{capture.names[i]}: {about}")
-        recorder.picture(f"residuals/{Path(capture.names[i]).with_suffix('')}", torch.from_numpy(picture), 0)
+        recorder.picture(f"residuals/{_stem(capture.names[i])}", torch.from_numpy(picture), 0)
+
+
+def _stem(name: str) -> str:
+    return str(Path(name).with_suffix(""))
 
 
 def match_picture(
