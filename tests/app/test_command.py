@@ -173,7 +173,8 @@ def test_the_installed_command_answers():
 def test_the_table_of_runs_has_the_index_ratio_that_a_model_sees(half_of_tank, model, ratio):
     capture = load_capture(half_of_tank([0, 3]))
     options = Options(model=ModelOptions(name=model), water=WaterOptions(index_ratio=1.333))
+    run = RunOptions(FolderOptions("tank_small"), options, OutputOptions(out="run"))
 
-    compared = commands._compared(RunOptions(FolderOptions("tank_small"), options, OutputOptions(out="run")), capture, {})
+    compared = commands._compared(run, capture, {})
 
     assert (compared["model"], compared["water.index_ratio"]) == (model, ratio)

@@ -8,7 +8,7 @@ import torch
 from torchrefrac.camera import Intrinsics
 from torchrefrac.geometry import Rigid
 from torchrefrac.scene import Interfaces, Observations, Scene
-from torchrefrac.sfm.in_sight import Patches
+from torchrefrac.sfm.in_sight import Clusters
 from torchrefrac.synthetic.paths import look_at
 
 POINTS = 20_000
@@ -42,12 +42,12 @@ def scene_of(draw):
 @pytest.mark.parametrize("distortion", [0.0, 0.1], ids=["ideal", "distorted"])
 def test_all_that_lie_in_the_image_are_among_them_and_few_others(scene_of, surface, distortion):
     scene = scene_of(SURFACES[surface], distortion)
-    patches = Patches.of(scene)
+    clusters = Clusters.of(scene)
 
     for view in range(len(scene.views)):
         every = torch.arange(len(scene.points))
         _, inside = scene.camera_of(torch.full_like(every, view), every).project(scene.points, inside_image=True)
-        may = patches.before(view)
+        may = clusters.before(view)
         assert bool(may[inside].all())
         assert int(may.sum()) < int(inside.sum()) + 0.6 * POINTS
 
@@ -55,11 +55,11 @@ def test_all_that_lie_in_the_image_are_among_them_and_few_others(scene_of, surfa
 def test_points_without_a_place_are_not_among_them(scene_of):
     scene = replace(scene_of(SURFACES["water"]), placed=torch.arange(POINTS) % 3 == 0)
 
-    assert not bool((Patches.of(scene).before(0) & ~scene.placed).any())
+    assert not bool((Clusters.of(scene).before(0) & ~scene.placed).any())
 
 
 def test_where_points_are_dry_these_are_all_that_are_placed(scene_of):
     scene = scene_of(SURFACES["water"])
     scene = replace(scene, dry=torch.arange(POINTS) < 5)
 
-    assert bool(Patches.of(scene).before(0).all())
+    assert bool(Clusters.of(scene).before(0).all())

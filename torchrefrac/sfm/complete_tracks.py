@@ -19,7 +19,7 @@ from torchrefrac.features import Features
 from torchrefrac.numerics import components, first_equal, first_of_each, typical_deviation
 from torchrefrac.scene import Observations, Scene
 from torchrefrac.sfm.adjust import OUTLYING
-from torchrefrac.sfm.in_sight import Patches
+from torchrefrac.sfm.in_sight import Clusters
 
 CANDIDATES = 6
 """Keypoints about a place, of which several may lie in one (of different orientations)."""
@@ -67,7 +67,7 @@ def complete_tracks(scene: Scene, features: Sequence[Features], max_error: float
     limit = OUTLYING * typical_deviation(error)
     keypoints = [_Keypoints(of_view) for of_view in features]
     keypoint = _keypoints_of(seen, keypoints)
-    descriptor, patches = _mean_descriptors(scene, features, keypoint), Patches.of(scene)
+    descriptor, patches = _mean_descriptors(scene, features, keypoint), Clusters.of(scene)
     extra: list[Observations] = []
     joined: list[Int[Tensor, "2 _"]] = []
     for view in scene.views.registered.nonzero()[:, 0].tolist():

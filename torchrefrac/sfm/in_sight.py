@@ -1,4 +1,4 @@
-"""Which of many points a view may show, without a look at each: by patches of points that are near each other."""
+"""Which of many points a view may show, without a look at each: by clusters of points that are near each other."""
 
 from dataclasses import dataclass
 
@@ -11,25 +11,25 @@ from torchrefrac.numerics import morton_code
 from torchrefrac.scene import Scene
 
 SIZE = 16
-"""Points of a patch."""
+"""Points of a cluster."""
 REACH = 2.0
-"""Times the angle under which a patch is seen straight, by which water may spread it."""
+"""Times the angle under which a cluster is seen straight, by which water may spread it."""
 NARROW = 0.125
-"""Radians: patches that are seen under a larger angle may always be in sight."""
+"""Radians: clusters that are seen under a larger angle may always be in sight."""
 BORDER = 9  # places along each side of an image that are followed
 
 
 @dataclass(frozen=True, eq=False)
-class Patches:
-    """The placed points of a scene in patches: `point` of each, the last one of all repeated to fill up, and how far
-    (radius) any of a patch is from the one in its middle."""
+class Clusters:
+    """The placed points of a scene in clusters: `point` of each, the last one of all repeated to fill up, and how far
+    (radius) any of a cluster is from the one in its middle."""
 
     scene: Scene
     point: Int[Tensor, "p size"]
     radius: Float[Tensor, " p"]
 
     @classmethod
-    def of(cls, scene: Scene) -> "Patches":
+    def of(cls, scene: Scene) -> "Clusters":
         """Of a scene, of which the poses may be anything."""
         placed = scene.placed.nonzero()[:, 0]
         placed = placed[morton_code(scene.points[placed]).argsort(stable=True)]
