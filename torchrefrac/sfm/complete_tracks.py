@@ -67,12 +67,12 @@ def complete_tracks(scene: Scene, features: Sequence[Features], max_error: float
     limit = OUTLYING * typical_deviation(error)
     keypoints = [_Keypoints(of_view) for of_view in features]
     keypoint = _keypoints_of(seen, keypoints)
-    descriptor, patches = _mean_descriptors(scene, features, keypoint), Clusters.of(scene)
+    descriptor, clusters = _mean_descriptors(scene, features, keypoint), Clusters.of(scene)
     extra: list[Observations] = []
     joined: list[Int[Tensor, "2 _"]] = []
     for view in scene.views.registered.nonzero()[:, 0].tolist():
         own = (seen.view == view).nonzero()[:, 0]
-        wanted = patches.before(view).index_fill(0, seen.point[own], False)
+        wanted = clusters.before(view).index_fill(0, seen.point[own], False)
         found = _look(scene, view, wanted, keypoints[view], descriptor, (limit, max_error))
         if not len(found.point):
             continue
