@@ -6,8 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 import torchrefrac
+from torchrefrac.files.library import embedded_scene
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 RATIO = 1.33  # of the embedded scene, whose water level is 0
@@ -53,6 +55,27 @@ def test_the_water_is_learnt_from_images(example, monkeypatch, capsys):
     assert truth == (RATIO, 0.0)
     assert abs(learnt[0] - RATIO) < 0.002
     assert abs(learnt[1]) < 0.1
+
+
+@torch.no_grad()
+def test_a_gaussian_is_drawn_where_the_water_shows_it():
+    example, capture = _module("gaussians"), torchrefrac.load_capture(embedded_scene("tank_small"))
+    truth, water = torchrefrac.load_truth(embedded_scene("tank_small")), torchrefrac.FlatInterface(RATIO)
+    camera = torchrefrac.RefractiveCamera(capture.cameras[0], truth.rotation[0], truth.center[0], water)
+    camera = example.smaller(camera)
+    off_middle = torch.tensor([10.3, -5.2], dtype=torch.float64)
+    origin, direction, _ = camera.cast_rays(camera.intrinsics.principal_point + off_middle)
+    point, lengths, color = origin + 30.0 * direction, torch.tensor([1.0, 0.5, 0.7]), torch.tensor([0.2, 0.5, 0.9])
+
+    picture, cover = example.Gaussians(point[None].float(), torch.eye(3)[None], lengths[None], color[None])(camera)
+
+    at, by, _ = camera.project_with_jacobians(point)
+    covariance = by.point @ torch.diag(lengths.double().square()) @ by.point.mT + 0.3 * torch.eye(2).double()
+    off = at.floor() + 0.5 - at
+    opacity = torch.sigmoid(torch.tensor(2.0)) * torch.exp(-0.5 * off @ torch.linalg.solve(covariance, off))
+    column, row = at.long().tolist()
+    assert float(cover[row, column]) == float(cover.max()) == pytest.approx(float(opacity), rel=1e-4)
+    torch.testing.assert_close(picture[row, column], opacity.float() * color, rtol=1e-4, atol=0.0)
 
 
 def _reports(printed):

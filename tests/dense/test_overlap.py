@@ -130,8 +130,8 @@ def test_several_views_at_a_time_end_as_one_after_the_other(strip, method):
 def test_the_job_of_one_view_can_be_sent_to_another_process(strip):
     neighbourhoods = find_neighbours(strip, OPTIONS)
     images = Images(strip.capture)
-    first = fill_view(ViewJob(neighbourhoods[0], images, OPTIONS, []))
-    job = ViewJob(neighbourhoods[1], images, OPTIONS, [first])
+    first = fill_view(ViewJob(neighbourhoods[0], images, OPTIONS, Patches.empty(OPTIONS.views)))
+    job = ViewJob(neighbourhoods[1], images, OPTIONS, first)
 
     sent = pickle.loads(pickle.dumps(job))
 

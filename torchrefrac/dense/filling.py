@@ -36,7 +36,7 @@ class ViewJob:
     neighbourhood: Neighbourhood
     images: Images
     options: DenseOptions
-    known: Sequence[Patches]
+    known: Patches
 
     @property
     def num_cells(self) -> int:
@@ -48,7 +48,7 @@ def fill_view(job: ViewJob, report: Callable[[int, int], None] | None = None) ->
     """The patches of one view. Tells `report` how many more cells are filled, and patches found."""
     options, parts = job.options, [Patches.empty(job.options.views)]
     for scope in scopes(job.neighbourhood, job.images, options):
-        cells, before = Cells(scope, options.cell), Patches.together([*parts[:1], *job.known, *parts[1:]])
+        cells, before = Cells(scope, options.cell), Patches.together([job.known, *parts])
         for patches in METHODS[options.method](scope, cells, before.to(scope.device), options):
             parts.append(patches.padded(options.views).to(CPU))
             if report is not None:
@@ -71,8 +71,8 @@ def fill_views(
     """
     views = sorted(neighbourhoods, key=lambda view: -len(neighbourhoods[view].points))
     order = [neighbourhoods[view] for view in views]
-    needs, found = _needs(order), dict[int, Patches]()
-    jobs = [ViewJob(neighbourhood, images, options, ()) for neighbourhood in order]
+    needs, found, none = _needs(order), dict[int, Patches](), Patches.empty(options.views)
+    jobs = [ViewJob(neighbourhood, images, options, none) for neighbourhood in order]
     left = [job.num_cells for job in jobs]
     made, start = 0, time.perf_counter()
     with recorder.meter(sum(left), "densifying", "cell") as advance:
@@ -84,7 +84,8 @@ def fill_views(
             advance(count, f"{made / (time.perf_counter() - start):.0f} patches/s")
 
         def job_of(place: int) -> ViewJob:
-            return replace(jobs[place], known=[found[earlier] for earlier in needs[place]])
+            known = Patches.together([none, *(found[earlier] for earlier in needs[place])])  # in memory, not in files
+            return replace(jobs[place], known=known)
 
         for place, view in enumerate(views):
             if (stored := store.load(view)) is not None:
