@@ -13,6 +13,8 @@ from torchrefrac.errors import TorchrefracError
 from torchrefrac.files.swap import settle
 
 METRICS = "metrics.json"
+REPORT, SCENE_PAGE = "report.html", "scene.html"
+PAGES = (REPORT, SCENE_PAGE)  # of all that lies in the folder
 DENSE_CLOUD = "dense.ply"
 DENSE_VIEW, ERROR_MAP, PROFILES = "dense_view.png", "error_map.png", "profiles.png"
 DENSE_LAZ, POINTS_LAZ, CONTOURS = "dense.laz", "points.laz", "contours.geojson"

@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from torchrefrac.files.run import RunRecord
+from torchrefrac.files.run import REPORT, RunRecord
 from torchrefrac.html.contents import read_contents
 from torchrefrac.html.drawn import Drawn, draw_models
 from torchrefrac.html.page import Picture, picture, write_page
 from torchrefrac.html.run_page import report_link, write_report
-from torchrefrac.html.tables import REPORT, Entry, Table, files_of, table1
+from torchrefrac.html.tables import Entry, Table, files_of, table1
 from torchrefrac.html.words import distinct, model_order, model_title, models_words, seconds
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Truth

@@ -10,7 +10,7 @@ from torchrefrac.evaluate.metrics import camera_prefixes
 from torchrefrac.figures.residuals import Residuals
 from torchrefrac.figures.shift import off_nadir
 from torchrefrac.figures.uncertainty import true_errors
-from torchrefrac.files.run import RunRecord, is_number
+from torchrefrac.files.run import PAGES, RunRecord, is_number
 from torchrefrac.html.contents import RunContents
 from torchrefrac.html.page import thumbnail
 from torchrefrac.html.words import UNKNOWN, file_size, placed_words, rounded, seconds, with_sigma
@@ -21,7 +21,6 @@ ERRORS = (
     ("flatness", "flatness", "how far the points of a true plane are from one plane, wherever that is"),
     ("off surface", "surface_median", "distance of a point from the true surface, median"),
 )
-REPORT = "report.html"
 
 
 @dataclass(frozen=True)
@@ -209,4 +208,9 @@ def timings(record: RunRecord) -> list[Bar]:
 def files_of(folder: Path) -> list[Cell]:
     """Links to the files of a run, relative to its folder, with their sizes."""
     found = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
-    return [Cell(f"{path.name} ({file_size(path.stat().st_size)})", path.name) for path in found if path.name != REPORT]
+    return [file_link(path) for path in found if path.name not in PAGES]
+
+
+def file_link(path: Path) -> Cell:
+    """A link to a file of the folder in which the page lies, with its size."""
+    return Cell(f"{path.name} ({file_size(path.stat().st_size)})", path.name)
