@@ -10,6 +10,7 @@ from torchrefrac.figures.residuals import Residuals, by_image_figure, by_inciden
 from torchrefrac.figures.shift import shift_figure, shift_images, typical_depth, typical_range
 from torchrefrac.figures.side_views import SideView, side_view, side_views_figure
 from torchrefrac.figures.uncertainty import uncertainty_figure
+from torchrefrac.files.run import DENSE_VIEW, ERROR_MAP, PROFILES, SURFACE_VIEW
 from torchrefrac.html.contents import RunContents
 from torchrefrac.html.page import Picture, picture, png, svg
 from torchrefrac.html.words import capital, rounded
@@ -181,19 +182,24 @@ def _dense_pictures(words: Wording, own: Wording) -> tuple[tuple[str, str, str, 
     """Files, titles, what they show and what to look for."""
     level = f"{words.line} and " if words.line else ""
     shore = "The shore should lie where the line of the water meets the surface; a" if words.kind == SURFACE else "A"
+    light = "the upper left" if words.is_wall else "the north-west"
     return (
-        ("dense_view.png", "The dense surface",
+        (SURFACE_VIEW, "The surface as it looks",
+         f"The dense points as small discs in their planes: in the colours of the photographs, and lit from {light}.",
+         "Edges and patterns should be sharp in the colours; grain or steps in the light that the scene does not have "
+         "are noise of matching."),
+        (DENSE_VIEW, "The dense surface",
          f"The dense points obliquely and from the side, coloured by {words.value}.",
          f"A clean sheet without a haze of points {words.above} or {words.below} it; holes are where the photographs "
          "show no texture."),
-        ("error_map.png", "Distance of the dense points from the true planes",
+        (ERROR_MAP, "Distance of the dense points from the true planes",
          f"{capital(words.along_z)} and from the side: red lies {words.below} the true plane, blue {words.above} it.",
          "Pale everywhere is good. A colour that changes slowly over the scene is a bend; speckle is noise of "
          "matching."),
         ("dsm.png", "Depth of the surface" if words.depth else "The surface as a map",
          f"The dense points as a map seen {own.along_z}, shaded as if lit from one side.",
          "Steps and ripples that the scene does not have come from the reconstruction."),
-        ("profiles.png", "Sections across the surface",
+        (PROFILES, "Sections across the surface",
          f"{capital(own.value)} over distance along three lines across the direction in which the surface is "
          f"longest, with {level}two standard deviations on either side.",
          f"{shore} bend that the {words.ground} does not have comes from a wrong index ratio or camera."),
