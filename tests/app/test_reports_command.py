@@ -69,7 +69,7 @@ def test_a_complete_run_is_told_with_its_numbers_and_figures(torchrefrac, sparse
     page = report()
     for words in (
         "3 of 3 photographs placed; cameras within ", "of the truth (RMS)", "index ratio 1.33", "Table 1. Errors",
-        "320 \u00d7 240 pixels", "seed=0", "Figure 1", "Figure 5", "cam04.jpg", "run.log",
+        "320 \u00d7 240 pixels", "seed=0", "Figure 1", "Figure 2", "cam04.jpg", "run.log",
     ):  # fmt: skip
         assert words in page.text, words
     assert sum(load.startswith(FIGURE) for load in page.loads) >= 5

@@ -19,7 +19,7 @@ from torchrefrac.scene.interfaces import SURFACE
 from torchrefrac.scene.wording import Wording
 
 DENSE_WIDTH = 1400
-PANELS_INCHES = 9.2  # of up to three panels of Figure 1
+PANELS_INCHES = 9.2  # of up to three panels of views from the side
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Drawn:
 
 
 def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Drawn | None:
-    """Figure 1 of all runs that have cameras; titles: of the panels, by default what the model is called."""
+    """The view from the side of all runs that have cameras; titles: of panels, by default what models are called."""
     views: list[SideView] = []
     truth: Truth | None = None
     for i, run in enumerate(runs):
@@ -56,7 +56,7 @@ def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Draw
         caption += " Moved onto the true cameras as well as possible"
         caption += "; grey lines are the true planes." if has_planes else "."
     return Drawn(
-        title="Figure 1. The scene from the side",
+        title="The scene from the side",
         picture=png(side_views_figure(views, truth, PANELS_INCHES / min(max(len(views), 2), 3))),
         alt=f"Side view of the points and cameras of {', '.join(view.title for view in views)}",
         caption=caption,
@@ -69,9 +69,9 @@ def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Draw
 
 
 def draw_cameras(shown: Scene, truth: Truth | None, words: Wording) -> Drawn:
-    """Figure 5."""
+    """The path of the camera."""
     return Drawn(
-        title="Figure 5. The path of the camera",
+        title="The path of the camera",
         picture=png(cameras_figure(shown, truth, words)),
         alt=f"Camera path and point cloud {words.along_z} and obliquely",
         caption="Cameras as the pyramids of what they see, joined in the order of the photographs; the points are "
@@ -82,7 +82,7 @@ def draw_cameras(shown: Scene, truth: Truth | None, words: Wording) -> Drawn:
 
 
 def draw_attitude(run: RunContents) -> Drawn | None:
-    """Figure 6; None where neither measurement nor truth is known."""
+    """Roll, pitch and heading; None where neither measurement nor truth is known."""
     scene = run.shown
     if scene is None:
         return None
@@ -90,7 +90,7 @@ def draw_attitude(run: RunContents) -> Drawn | None:
     if not len(images) or all(angle.measured is None and angle.true is None for angle in angles):
         return None
     return Drawn(
-        title="Figure 6. Attitude of the cameras",
+        title="Attitude of the cameras",
         picture=svg(attitude_figure(images, angles, len(scene.views.names))),
         alt="Estimated, measured and true roll, pitch and heading of each image",
         caption=f"Roll and pitch: {words.dips}. {attitude_words(angles)}"

@@ -12,7 +12,16 @@ from torchrefrac.html.contents import RunContents, read_contents
 from torchrefrac.html.page import write_page
 from torchrefrac.html.scene_page import write_scene_page
 from torchrefrac.html.survey import compared_table, level_table, methods, order_table, survey_facts
-from torchrefrac.html.tables import Entry, cameras, file_link, files_of, photograph_heads, photographs, table1, timings
+from torchrefrac.html.tables import (
+    Entry,
+    cameras,
+    file_link,
+    files_of,
+    photograph_columns,
+    photographs,
+    table1,
+    timings,
+)
 from torchrefrac.record.summary import dense_lines
 from torchrefrac.scene import Truth
 from torchrefrac.sweeps.design import MOST_PANELS
@@ -64,7 +73,7 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
         held=list((record.metrics.get("held") or {}).values()),
         cameras=cameras(contents),
         positions=words.positions(contents.capture, record),
-        heads=photograph_heads(contents),
+        columns=photograph_columns(contents),
         photographs=photographs(contents, residuals),
         timings=timings(record),
         total=words.seconds(record.number("seconds_total") or 0.0),
