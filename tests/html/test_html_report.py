@@ -5,6 +5,8 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 import torch
 
@@ -237,6 +239,8 @@ def sweep(planted, told):
     damaged = folder / "4_damaged"
     damaged.mkdir()
     (damaged / "metrics.json").write_text("{")
+    for name in ("summary.png", "dense_figure1.png", "dense_error_map.png"):
+        cv2.imwrite(str(folder / name), np.full((40, 60, 3), 200, dtype=np.uint8))
     runs = [folder / name for name in ("none", "radial", "refractive")]
     return Page(write_sweep_report(folder, [*runs, failed, damaged]).read_text(encoding="utf-8"))
 
@@ -249,9 +253,18 @@ def test_a_sweep_tells_of_failed_jobs_first(sweep):
 
 
 def test_a_sweep_has_a_table_and_a_figure_of_each_scene_and_links_to_the_jobs(sweep):
-    assert "Figure 1" in sweep.text
+    assert "Figure 2. The scene from the side" in sweep.text
     assert sweep.links[0] == "refractive/report.html"
     assert all(reference.startswith("data:") for reference in sweep.references)
+
+
+def test_a_sweep_has_its_summary_and_the_dense_surfaces_side_by_side(sweep):
+    figures = re.findall(r"Figure \d+\. [\w ]+", sweep.page)
+
+    assert figures == [
+        "Figure 1. All jobs at one glance", "Figure 2. The scene from the side", "Figure 3. The dense surface",
+        "Figure 4. Distance of the dense points from the true planes",
+    ]  # fmt: skip
 
 
 def test_a_sweep_of_failures_alone_has_a_report(planted, tmp_path):

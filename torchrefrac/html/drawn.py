@@ -1,6 +1,6 @@
 """The figures of a run as they stand in its report: picture, what it shows, and what to look for."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,8 +17,10 @@ from torchrefrac.html.words import capital, rounded
 from torchrefrac.scene import Scene, Truth
 from torchrefrac.scene.interfaces import SURFACE
 from torchrefrac.scene.wording import Wording
+from torchrefrac.sweeps.design import FIGURES
 
 DENSE_WIDTH = 1400
+NARROW = 640  # a picture of at most this width is shown whole on a telephone
 PANELS_INCHES = 9.2  # of up to three panels of views from the side
 
 
@@ -168,14 +170,31 @@ def draw_uncertainty(shown: Scene, truth: Truth | None, words: Wording) -> Drawn
 
 def draw_dense(folder: Path, words: Wording, own: Wording) -> list[Drawn]:
     """The pictures of a dense stage that lie in the folder, in the words of the frame of the truth and of its own."""
+    return _drawn(folder, {}, _dense_pictures(words, own))
+
+
+def draw_dense_beside(folder: Path, end: str, words: Wording) -> list[Drawn]:
+    """The pictures of several dense stages side by side that lie in the folder of a sweep, by what ends their names."""
+    _, view, error = (f"{kind}{end}" for kind in FIGURES)
+    names = {DENSE_VIEW: view, ERROR_MAP: error}
+    return _drawn(folder, names, [one for one in _dense_pictures(words, words) if one[0] in names])
+
+
+def _drawn(folder: Path, names: Mapping[str, str], pictures: Sequence[tuple[str, str, str, str]]) -> list[Drawn]:
+    """Those of the pictures that lie in the folder, some under other names."""
     found = []
-    for name, title, caption, look in _dense_pictures(words, own):
+    for name, title, caption, look in pictures:
         try:
-            shown = picture(folder / name, DENSE_WIDTH)
+            shown = picture(folder / names.get(name, name), DENSE_WIDTH)
         except OSError:
             continue
-        found.append(Drawn(title, shown, title, caption, look))
+        found.append(Drawn(title, shown, title, caption, look, kind_of(shown)))
     return found
+
+
+def kind_of(shown: Picture) -> str:
+    """Of a picture that lies in a file."""
+    return "wide" if shown.width > NARROW else "narrow"
 
 
 def _dense_pictures(words: Wording, own: Wording) -> tuple[tuple[str, str, str, str], ...]:

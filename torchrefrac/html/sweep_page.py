@@ -1,18 +1,20 @@
 """The report of a whole sweep, and those of its runs."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from torchrefrac.files.run import REPORT, RunRecord
 from torchrefrac.html.contents import read_contents
-from torchrefrac.html.drawn import Drawn, draw_models
+from torchrefrac.html.drawn import Drawn, draw_dense_beside, draw_models, kind_of
 from torchrefrac.html.page import Picture, picture, write_page
 from torchrefrac.html.run_page import report_link, write_report
 from torchrefrac.html.tables import Entry, Table, files_of, table1
 from torchrefrac.html.words import distinct, model_order, model_title, models_words, seconds
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Truth
+from torchrefrac.scene.interfaces import SURFACE
+from torchrefrac.scene.wording import INTERFACE, wording
 from torchrefrac.sweeps.design import MOST_PANELS, load_runs, short_keys, shown_together, what_varied
 
 SUMMARY, SUMMARY_WIDTH = "summary.png", 1600
@@ -71,7 +73,10 @@ def write_sweep_report(folder: Path, runs: Sequence[Path]) -> Path:
         },
         failed=[Failed(job, _label(job, short) or job.folder.name, report_link(job, folder)) for job in failed],
         summary=summary,
+        summary_kind="" if summary is None else kind_of(summary),
         sections=sections,
+        dense=_dense(jobs, folder),
+        drawn=(summary is not None) + sum(section.figure is not None for section in sections),
         files=[cell for cell in files_of(folder) if not cell.link.startswith("multirun")],
     )
     return folder / REPORT
@@ -97,6 +102,17 @@ def _sections(jobs: Sequence[RunRecord], short: Mapping[str, str], folder: Path,
             figure = draw_models([read_contents(job.folder, truths, with_capture=False) for job in ordered], labels)
         drawn = sum(section.figure is not None for section in found)
         found.append(SceneSection(title, table1(entries, unit), figure, first + drawn))
+    return found
+
+
+def _dense(jobs: Sequence[RunRecord], folder: Path) -> list[Drawn]:
+    """Dense surfaces side by side, of each scene and combination of what else varied, as they lie in the folder."""
+    groups = shown_together(jobs, what_varied(jobs))
+    found = []
+    for end, (first, *_) in list(groups.items())[:MOST_FIGURES]:
+        drawn = draw_dense_beside(folder, end, wording(first.metrics.get(INTERFACE, SURFACE)))
+        of = end.removesuffix(".png").replace("_", " ")
+        found += [replace(one, title=f"{one.title}{f', {of.strip()}' if of else ''}") for one in drawn]
     return found
 
 
