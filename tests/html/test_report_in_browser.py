@@ -41,6 +41,46 @@ LOOK = (
 )
 
 
+# Errors of the page's program; and its use, with what the canvas shows after each step.
+WATCH = """<script>
+const errors = [];
+addEventListener("error", event => errors.push(event.message));
+requestAnimationFrame = draw => draw();
+const get = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, how) {
+  return get.call(this, kind, {...how, preserveDrawingBuffer: true});
+};
+</script>"""
+USE = """<pre id="errors"></pre><pre id="views"></pre>
+<script>onload = () => {
+  const canvas = document.getElementById("view"), views = [];
+  const press = (key, shiftKey) => canvas.dispatchEvent(new KeyboardEvent("keydown", {key, shiftKey}));
+  const point = (kind, pointerId, clientX, clientY) => canvas.dispatchEvent(
+    new PointerEvent(kind, {pointerId, clientX, clientY}));
+  canvas.setPointerCapture = () => {};
+  const steps = [
+    () => press("0"), () => press("ArrowLeft"), () => press("ArrowUp", true), () => press("+"),
+    () => document.getElementById("along").click(), () => document.getElementById("side").click(),
+    () => canvas.dispatchEvent(new WheelEvent("wheel", {deltaY: 100})),
+    () => { point("pointerdown", 1, 100, 100); point("pointermove", 1, 150, 120); },
+    () => { point("pointerdown", 2, 200, 200); point("pointermove", 2, 250, 260); },
+    () => document.getElementById("cameras").click(), () => document.getElementById("surface").click(),
+    () => document.querySelector("input[value=depth]").click(),
+    () => {
+      for (const id of ["cameras", "surface"]) document.getElementById(id).click();
+      document.querySelector("input[value=photograph]").click();
+      press("0");
+    },
+  ];
+  for (const step of steps) {
+    step();
+    views.push(canvas.toDataURL());
+  }
+  document.getElementById("errors").textContent = errors.join();
+  document.getElementById("views").textContent = JSON.stringify(views);
+};</script>"""
+
+
 @pytest.fixture(scope="module")
 def browse(tmp_path_factory):
     """`browse(address, *options)` starts the browser, without a network, and returns what it prints."""
@@ -104,6 +144,19 @@ def test_the_scene_is_drawn_on_a_telephone_and_on_a_desk(browse, frames, tmp_pat
         ground = stage[0, 0].astype(int)
         assert 0.02 < (abs(stage.astype(int) - ground).max(axis=-1) > 8).mean() < 0.9
         assert (stage < 60).all(axis=-1).sum() > 200  # cameras and dark points
+
+
+def test_the_scene_answers_keys_buttons_and_a_choice_of_colours(browse, report, tmp_path):
+    page = (report.parent / "scene.html").read_text()
+    copy = tmp_path / "scene.html"
+    copy.write_text(page.replace("<head>", f"<head>{WATCH}").replace("</body>", f"{USE}</body>"))
+
+    shown = browse(copy.as_uri(), "--dump-dom")
+
+    assert re.search(r'<pre id="errors"></pre>', shown)
+    assert "Depth below the water surface (cm)" in shown
+    views = json.loads(html.unescape(re.search(r'<pre id="views">(.*?)</pre>', shown).group(1)))
+    assert len(set(views)) == len(views) - 1  # all at the beginning and at the end
 
 
 def test_without_webgl_the_scene_says_what_it_needs(browse, report):
