@@ -9,6 +9,7 @@ import pytest
 
 from tests.planted_reconstructions import plant_reconstruction
 from torchrefrac.files.colmap.model import write_colmap
+from torchrefrac.files.run import PAGES
 
 FIGURE = "data:image/"
 QUICK = (
@@ -68,7 +69,7 @@ def test_a_complete_run_is_told_with_its_numbers_and_figures(torchrefrac, sparse
     page = report()
     for words in (
         "3 of 3 photographs placed; cameras within ", "of the truth (RMS)", "index ratio 1.33", "Table 1. Errors",
-        "320 \u00d7 240 pixels", "seed=0", "Figure 1", "Figure 5", "cam04.jpg", "run.log",
+        "320 \u00d7 240 pixels", "seed=0", "Figure 1", "Figure 2", "cam04.jpg", "run.log",
     ):  # fmt: skip
         assert words in page.text, words
     assert sum(load.startswith(FIGURE) for load in page.loads) >= 5
@@ -171,6 +172,10 @@ def test_a_run_made_dense_later_has_a_report_of_both(torchrefrac, sparse, metric
     ):
         assert words in page.text.replace("\u202f", ""), words
     assert "dense.ply" in page.links
+    assert (
+        f"{found['dense_points']:,} dense points".replace(",", "\u202f")
+        in (tmp_path / "run" / "scene.html").read_text()
+    )
     assert "complete after" in (tmp_path / "run" / "run.log").read_text().splitlines()[-1]
 
 
@@ -178,7 +183,8 @@ def test_a_run_made_dense_later_has_a_report_of_both(torchrefrac, sparse, metric
 def hopeless(sparse, tmp_path):
     """The folder of a run that has a report, and cameras that all stand in one place."""
     shutil.copytree(sparse / "run", tmp_path / "run")
-    (tmp_path / "run" / "report.html").write_text("of the sparse model alone")
+    for name in PAGES:
+        (tmp_path / "run" / name).write_text("of the sparse model alone")
     cameras = json.loads((tmp_path / "run" / "cameras.json").read_text())
     for image in cameras["images"]:
         image["center_in_world"] = [0.0, 0.0, 30.0]
@@ -199,7 +205,7 @@ def test_a_dense_stage_without_a_report_takes_away_that_of_before(torchrefrac, h
     torchrefrac("densify", f"run={hopeless}", "report=false", reports=True)
 
     assert (hopeless / "metrics.json").is_file()
-    assert not (hopeless / "report.html").exists()
+    assert not any((hopeless / name).exists() for name in PAGES)
 
 
 def test_a_run_that_cannot_be_opened_keeps_its_report(torchrefrac, hopeless):
@@ -208,4 +214,4 @@ def test_a_run_that_cannot_be_opened_keeps_its_report(torchrefrac, hopeless):
     ended = torchrefrac("densify", f"run={hopeless}", reports=True)
 
     assert (ended.status, ended.err.count("\n")) == (1, 1)
-    assert (hopeless / "report.html").read_text() == "of the sparse model alone"
+    assert all((hopeless / name).read_text() == "of the sparse model alone" for name in PAGES)

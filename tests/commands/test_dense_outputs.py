@@ -47,6 +47,6 @@ def test_a_summary_says_what_is_known():
     assert measured[0].startswith("dense (patch): 1234567 points in 123.4 s (12346 patches/s), with 2 images")
     assert measured[1] == (
         "dense against truth: 90.0 % of the points within 0.2 cm of the surface, 0.0456 cm RMS from its planes "
-        "(97 % inliers)"
+        "without the farthest 3.0 %"
     )
     assert max(map(len, summary(measured).splitlines())) <= 100

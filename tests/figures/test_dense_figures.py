@@ -106,7 +106,7 @@ def test_the_panel_of_a_cloud_says_how_accurate_it_is(truth):
     assert panel.caption.splitlines() == [
         "200 points",
         "0.0 / 50.0 / 100.0 % within 0.1 / 0.2 / 0.5 cm",
-        "RMS 0.237 cm over 100.0 % inliers",
+        "RMS 0.237 cm",
     ]
     torch.testing.assert_close(panel.points, points)
     torch.testing.assert_close(panel.values, torch.tensor((0.15, 0.3), dtype=DOUBLE).repeat_interleave(100))

@@ -5,6 +5,8 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 import torch
 
@@ -115,7 +117,8 @@ def test_the_page_says_what_went_in_and_what_came_out(page):
     for words in (
         "tank_small: Refraction", "7 of 8 photographs placed", "0.012 cm", "model=refractive", "640 \u00d7 480 pixels",
         "1 min 10 s", "1.2 GiB", "determined to 0.00032", "focal: not determined by these photographs",
-        "Figure 1", "Figure 5", "Figure 6", "Residuals by angle", "How far the water moves things", "no longer than",
+        "Figure 1. The scene from the side", "Figure 2. The path of the camera", "Figure 3. Attitude",
+        "Residuals by angle", "How far the water moves things", "no longer than",
     ):  # fmt: skip
         assert words in page.text, words
 
@@ -140,6 +143,22 @@ def test_the_page_needs_no_other_file_and_no_network(page):
     assert all(re.fullmatch(r"[\w./-]+", link) and not link.startswith("/") for link in page.links)
     assert not re.search(r"url\(|@import|<script|<iframe|<object", page.page)
     assert len(page.ids) == len(set(page.ids))
+
+
+def test_figures_are_numbered_in_their_order(page):
+    numbers = [int(number) for number in re.findall(r"<h3>Figure (\d+)\. ", page.page)]
+
+    assert len(numbers) >= 5
+    assert numbers == list(range(1, len(numbers) + 1))
+
+
+def test_every_column_is_explained(page):
+    tables = re.findall(r"<thead>(.*?)</thead>.*?</div>\s*<p class=\"soft terms\">(.*?)</p>", page.page, re.DOTALL)
+
+    assert len(tables) == page.page.count("<table>") == 2
+    for heads, terms in tables:
+        names = [head.partition(" (")[0] for head in re.findall(r"<th[^>]*>([^<]+)</th>", heads)]
+        assert not [name for name in names[1:] if f"{name[0].upper()}{name[1:]}</em>" not in terms]
 
 
 def test_links_lead_to_files_of_the_run(page, told):
@@ -189,7 +208,7 @@ def test_a_damaged_file_is_named_and_the_rest_is_told(planted, name):
 
     assert "7 of 8 photographs placed" in page.text
     assert "The cameras and points cannot be read" in page.text
-    assert "Figure 5" not in page.text
+    assert "The path of the camera" not in page.text
 
 
 def test_an_old_run_whose_photographs_are_gone_has_what_it_can(planted, tmp_path):
@@ -203,8 +222,8 @@ def test_an_old_run_whose_photographs_are_gone_has_what_it_can(planted, tmp_path
     page = Page(write_report(run).read_text(encoding="utf-8"))
 
     assert f"The photographs are not in {tmp_path / 'nowhere'} any more" in page.text
-    assert "Figure 5" in page.text
-    assert "Figure 6" not in page.text
+    assert "The path of the camera" in page.text
+    assert "Attitude of the cameras" not in page.text
     assert "Residuals" not in page.text
     assert "How well the cameras are determined" not in page.text
 
@@ -220,6 +239,8 @@ def sweep(planted, told):
     damaged = folder / "4_damaged"
     damaged.mkdir()
     (damaged / "metrics.json").write_text("{")
+    for name in ("summary.png", "dense_figure1.png", "dense_error_map.png"):
+        cv2.imwrite(str(folder / name), np.full((40, 60, 3), 200, dtype=np.uint8))
     runs = [folder / name for name in ("none", "radial", "refractive")]
     return Page(write_sweep_report(folder, [*runs, failed, damaged]).read_text(encoding="utf-8"))
 
@@ -232,9 +253,18 @@ def test_a_sweep_tells_of_failed_jobs_first(sweep):
 
 
 def test_a_sweep_has_a_table_and_a_figure_of_each_scene_and_links_to_the_jobs(sweep):
-    assert "Figure 1" in sweep.text
+    assert "Figure 2. The scene from the side" in sweep.text
     assert sweep.links[0] == "refractive/report.html"
     assert all(reference.startswith("data:") for reference in sweep.references)
+
+
+def test_a_sweep_has_its_summary_and_the_dense_surfaces_side_by_side(sweep):
+    figures = re.findall(r"Figure \d+\. [\w ]+", sweep.page)
+
+    assert figures == [
+        "Figure 1. All jobs at one glance", "Figure 2. The scene from the side", "Figure 3. The dense surface",
+        "Figure 4. Distance of the dense points from the true planes",
+    ]  # fmt: skip
 
 
 def test_a_sweep_of_failures_alone_has_a_report(planted, tmp_path):

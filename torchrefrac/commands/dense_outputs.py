@@ -10,10 +10,11 @@ from torchrefrac.dense import Dense, DenseOptions, depth_maps
 from torchrefrac.figures.dense import dense_view, draw_dense_views, draw_depth_map, draw_error_map, error_panel
 from torchrefrac.figures.profiles import draw_profiles
 from torchrefrac.figures.raster import draw_raster
+from torchrefrac.figures.surface_view import draw_surface_view
 from torchrefrac.files.dense import write_dense, write_depth_map
 from torchrefrac.files.mesh import height_field_mesh, write_mesh
 from torchrefrac.files.raster import write_raster
-from torchrefrac.files.run import DENSE_CLOUD, DENSE_RESULTS, DENSE_VIEW, DEPTH_MAPS, ERROR_MAP, PROFILES
+from torchrefrac.files.run import DENSE_CLOUD, DENSE_RESULTS, DENSE_VIEW, DEPTH_MAPS, ERROR_MAP, PROFILES, SURFACE_VIEW
 from torchrefrac.files.swap import remove_if_empty
 from torchrefrac.geometry import Similarity
 from torchrefrac.recorder import Recorder
@@ -40,7 +41,8 @@ def draw_dense_outputs(
     metrics: Mapping[str, Any],
     folder: Path,
 ) -> None:
-    """The surface from above (where there is a raster), from aside and, where it is known, against the truth."""
+    """The surface from above (where there is a raster), from aside, as it looks and, where it is known, against the
+    truth."""
     words = wording_of(scene, metrics)
     if raster is not None:
         draw_raster(raster, folder / "dsm.png", words)
@@ -48,6 +50,7 @@ def draw_dense_outputs(
     model = metrics.get("model") or ("refractive" if scene.index_ratio > 1.0 else "none")
     known = truth if alignment is not None else None
     draw_dense_views([dense_view(model, cloud, scene, alignment, metrics)], known, folder / DENSE_VIEW)
+    draw_surface_view(cloud, alignment, known, wording_of(scene, metrics, known is not None), folder / SURFACE_VIEW)
     if truth is not None and alignment is not None and len(truth.corner):
         panel = error_panel(model, cloud, alignment, truth, metrics, wording_of(scene, metrics, upright=True))
         draw_error_map([panel], truth, folder / ERROR_MAP)

@@ -13,13 +13,25 @@ from torchrefrac.commands.dense_outputs import depth_map_files
 from torchrefrac.config import OptionError
 from torchrefrac.files.colmap.model import STEMS
 from torchrefrac.files.paths import real_path
-from torchrefrac.files.run import DENSE_RESULTS, DEPTH_MAPS, METRICS, PARTS, WORK, RunRecord, RunRecordError, RunStatus
+from torchrefrac.files.run import (
+    DENSE_RESULTS,
+    DEPTH_MAPS,
+    METRICS,
+    PAGES,
+    PARTS,
+    REPORT,
+    SCENE_PAGE,
+    WORK,
+    RunRecord,
+    RunRecordError,
+    RunStatus,
+)
 from torchrefrac.files.swap import PARTIAL, alone, finish, swap
 from torchrefrac.files.water import WATER
 from torchrefrac.record.recorders import EVENTS, LOG
 
-MODEL, REPORT, OPTIONS = "colmap", "report.html", ".hydra"
-RESULTS = ("features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png")
+MODEL, OPTIONS = "colmap", ".hydra"
+RESULTS = ("features.npz", "matches.npz", "cameras.json", "points.ply", "tracks.npz", "side_view.png", SCENE_PAGE)
 FURTHER, SCENE_FILES = "reconstructions", ("cameras.json", "points.ply", "tracks.npz")
 """Of a run that falls into several: the metric that has them, and what is written of each beside the largest."""
 MODEL_FILES = (WATER, *(f"{MODEL}/{stem}{end}" for stem in STEMS for end in (".txt", ".bin")))
@@ -182,7 +194,7 @@ def _begin(place: Path, earlier: Iterable[str], before: RunRecord, goes_on: bool
     place.mkdir()
     folder = place.parent
     resumes = (folder / PARTS).is_dir() or (folder / WORK).is_dir()
-    dense = {REPORT, *_dense_results(folder)}
+    dense = {*PAGES, *_dense_results(folder)}
     for name in earlier:
         if (goes_on and name not in dense) or (resumes and name.startswith((LOG, EVENTS))):
             (place / name).parent.mkdir(parents=True, exist_ok=True)

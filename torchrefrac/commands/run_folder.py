@@ -18,7 +18,6 @@ from torchrefrac.commands.results import (
     FURTHER,
     MODEL,
     MODEL_FILES,
-    REPORT,
     RESULTS,
     further_folders,
     further_results,
@@ -30,7 +29,7 @@ from torchrefrac.figures.side_views import draw_side_views, side_view
 from torchrefrac.files.cameras import write_cameras, write_points
 from torchrefrac.files.colmap.model import write_colmap
 from torchrefrac.files.colmap.tables import Ids
-from torchrefrac.files.run import METRICS, RunRecord
+from torchrefrac.files.run import METRICS, PAGES, REPORT, RunRecord
 from torchrefrac.files.swap import remove_if_empty
 from torchrefrac.files.tracks import write_tracks
 from torchrefrac.files.water import WATER, write_water
@@ -79,7 +78,8 @@ class RunFolder:
         kept = {name: value for name, value in about if not name.startswith(DENSE_METRICS) and name != "reason"}
         self.metrics = kept | {"status": "running", "stages": [name for name in found.stages if name != DENSE]}
         self.save_metrics()
-        (self.folder / REPORT).unlink(missing_ok=True)  # which tells of what was
+        for name in PAGES:  # which tell of what was
+            (self.folder / name).unlink(missing_ok=True)
         remove_dense_outputs(self.folder)
         with self._until_the_end():
             yield

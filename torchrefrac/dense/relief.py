@@ -16,11 +16,16 @@ def hillshade(
     """From 0 (in the shade) to 1 (facing the sun): the cosine of the angle between the surface, of which depth is known
     in cells of this size, row 0 in the north, and light from the north-west at 45 degrees (Lambert's law)."""
     east, south = (_slope(depth, valid, size, axis) for axis in (1, 0))
-    azimuth, altitude = math.radians(SUN_AZIMUTH_DEG), math.radians(SUN_ALTITUDE_DEG)
-    sun = (math.sin(azimuth) * math.cos(altitude), math.cos(azimuth) * math.cos(altitude), math.sin(altitude))
+    to_east, to_north, up = sun()
     # The normal of the surface z = -depth, with y to the north, is (east, -south, 1) before it is made a unit vector.
-    cosine = (sun[0] * east - sun[1] * south + sun[2]) / (east**2 + south**2 + 1.0).sqrt()
+    cosine = (to_east * east - to_north * south + up) / (east**2 + south**2 + 1.0).sqrt()
     return cosine.clamp(min=0.0)
+
+
+def sun() -> tuple[float, float, float]:
+    """A unit vector to where light comes from: east, north, up."""
+    azimuth, altitude = math.radians(SUN_AZIMUTH_DEG), math.radians(SUN_ALTITUDE_DEG)
+    return math.sin(azimuth) * math.cos(altitude), math.cos(azimuth) * math.cos(altitude), math.sin(altitude)
 
 
 def relief(

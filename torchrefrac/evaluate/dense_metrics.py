@@ -1,6 +1,7 @@
 """How far a dense reconstruction lies from the true surfaces, and how much of them it covers. Units are in the keys."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ WITHIN = (0.1, 0.2, 0.5)
 TYPICAL, FOUND = WITHIN[1:]  # where there is room for one: of accuracy, of completeness
 MAD_TO_SIGMA = 1.4826  # the standard deviation of a normal distribution over its median absolute deviation
 INLIER_SIGMAS = 3.0
+LEAST_TOLD = 0.05  # per cent of the points
 Metrics = dict[str, float | int | list[float | None]]
 
 
@@ -91,6 +93,15 @@ def signed_plane_distance(points: Float[Tensor, "n 3"], truth: Truth) -> tuple[F
     nearest = distance_to_each_rectangle(points, truth).argmin(dim=-1)
     normal = torch.where(truth.normal[:, 2:] < 0.0, -truth.normal, truth.normal)
     return ((points - truth.corner[nearest]) * normal[nearest]).sum(dim=-1), nearest
+
+
+def without_outliers(metrics: Mapping[str, Any]) -> str:
+    """How to go on after the RMS distance from the planes: which share of the points it leaves out; empty for none.
+
+    What is left out is far off for this cloud, and that little or nothing is says nothing for a model that is wrong.
+    """
+    share = 100.0 * (1.0 - metrics["dense_plane_inliers"])
+    return f" without the farthest {share:.1f} %" if share >= LEAST_TOLD else ""
 
 
 def _plane_metrics(points: Float[Tensor, "n 3"], truth: Truth) -> Metrics:

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from torchrefrac.evaluate.dense_metrics import INLIER_SIGMAS, MAD_TO_SIGMA, signed_plane_distance
+from torchrefrac.evaluate.dense_metrics import INLIER_SIGMAS, MAD_TO_SIGMA, signed_plane_distance, without_outliers
 from torchrefrac.figures.panels import (
     EMPTY,
     TO_FRONT_DEG,
@@ -137,8 +137,8 @@ def _caption(count: int, metrics: Mapping[str, Any], unit: str) -> str:
         limits = " / ".join(key.removeprefix(start).removesuffix(end) for key in keys)
         lines.append(f"{shares} % within {limits} {unit}")
     if f"dense_plane_rms_{unit}" in metrics:
-        rms, share = metrics[f"dense_plane_rms_{unit}"], 100.0 * metrics["dense_plane_inliers"]
-        lines.append(f"RMS {rms:.3g} {unit} over {share:.1f} % inliers")
+        rms = metrics[f"dense_plane_rms_{unit}"]
+        lines.append(f"RMS {rms:.3g} {unit}{without_outliers(metrics)}")
     return "\n".join(lines)
 
 

@@ -158,9 +158,9 @@ def _limits(columns: Sequence[Column], row: Row, truth: Truth | None) -> list[li
     return torch.stack((0.5 * (low + high) - half, 0.5 * (low + high) + half), dim=-1).tolist()
 
 
-def oblique(side: Float[Tensor, "3 3"], turn_deg: float = TURN_DEG) -> Float[Tensor, "3 3"]:
+def oblique(side: Float[Tensor, "3 3"], turn_deg: float = TURN_DEG, rise_deg: float = RISE_DEG) -> Float[Tensor, "3 3"]:
     """The frame of an oblique view: that from the side, turned about the vertical and raised."""
-    turn, rise = math.radians(turn_deg), math.radians(RISE_DEG)
+    turn, rise = math.radians(turn_deg), math.radians(rise_deg)
     right = math.cos(turn) * side[0] + math.sin(turn) * side[2]
     level = math.cos(turn) * side[2] - math.sin(turn) * side[0]
     return torch.stack(

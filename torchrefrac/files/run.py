@@ -13,12 +13,25 @@ from torchrefrac.errors import TorchrefracError
 from torchrefrac.files.swap import settle
 
 METRICS = "metrics.json"
+REPORT, SCENE_PAGE = "report.html", "scene.html"
+PAGES = (REPORT, SCENE_PAGE)  # of all that lies in the folder
 DENSE_CLOUD = "dense.ply"
 DENSE_VIEW, ERROR_MAP, PROFILES = "dense_view.png", "error_map.png", "profiles.png"
+SURFACE_VIEW = "surface_view.png"
 DENSE_LAZ, POINTS_LAZ, CONTOURS = "dense.laz", "points.laz", "contours.geojson"
 RASTERS = {name: f"{name}.tif" for name in ("dsm", "depth", "sigma", "views", "hillshade", "orthophoto")}
 FOR_SURVEYS = (DENSE_LAZ, POINTS_LAZ, CONTOURS, *RASTERS.values())
-DENSE_RESULTS = (DENSE_CLOUD, "mesh.ply", "dsm.npz", "dsm.png", *FOR_SURVEYS, PROFILES, DENSE_VIEW, ERROR_MAP)
+DENSE_RESULTS = (
+    DENSE_CLOUD,
+    "mesh.ply",
+    "dsm.npz",
+    "dsm.png",
+    *FOR_SURVEYS,
+    PROFILES,
+    DENSE_VIEW,
+    SURFACE_VIEW,
+    ERROR_MAP,
+)
 DEPTH_MAPS = "dense"  # the folder of the depth maps
 PARTS = f"{DEPTH_MAPS}/parts"  # of what is finished while the stage is not
 WORK = "work"  # the same of stages before it

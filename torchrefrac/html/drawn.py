@@ -1,6 +1,6 @@
 """The figures of a run as they stand in its report: picture, what it shows, and what to look for."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,15 +10,18 @@ from torchrefrac.figures.residuals import Residuals, by_image_figure, by_inciden
 from torchrefrac.figures.shift import shift_figure, shift_images, typical_depth, typical_range
 from torchrefrac.figures.side_views import SideView, side_view, side_views_figure
 from torchrefrac.figures.uncertainty import uncertainty_figure
+from torchrefrac.files.run import DENSE_VIEW, ERROR_MAP, PROFILES, SURFACE_VIEW
 from torchrefrac.html.contents import RunContents
 from torchrefrac.html.page import Picture, picture, png, svg
 from torchrefrac.html.words import capital, rounded
 from torchrefrac.scene import Scene, Truth
 from torchrefrac.scene.interfaces import SURFACE
 from torchrefrac.scene.wording import Wording
+from torchrefrac.sweeps.design import FIGURES
 
 DENSE_WIDTH = 1400
-PANELS_INCHES = 9.2  # of up to three panels of Figure 1
+NARROW = 640  # a picture of at most this width is shown whole on a telephone
+PANELS_INCHES = 9.2  # of up to three panels of views from the side
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,7 @@ class Drawn:
 
 
 def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Drawn | None:
-    """Figure 1 of all runs that have cameras; titles: of the panels, by default what the model is called."""
+    """The view from the side of all runs that have cameras; titles: of panels, by default what models are called."""
     views: list[SideView] = []
     truth: Truth | None = None
     for i, run in enumerate(runs):
@@ -55,7 +58,7 @@ def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Draw
         caption += " Moved onto the true cameras as well as possible"
         caption += "; grey lines are the true planes." if has_planes else "."
     return Drawn(
-        title="Figure 1. The scene from the side",
+        title="The scene from the side",
         picture=png(side_views_figure(views, truth, PANELS_INCHES / min(max(len(views), 2), 3))),
         alt=f"Side view of the points and cameras of {', '.join(view.title for view in views)}",
         caption=caption,
@@ -68,9 +71,9 @@ def draw_models(runs: Sequence[RunContents], titles: Sequence[str] = ()) -> Draw
 
 
 def draw_cameras(shown: Scene, truth: Truth | None, words: Wording) -> Drawn:
-    """Figure 5."""
+    """The path of the camera."""
     return Drawn(
-        title="Figure 5. The path of the camera",
+        title="The path of the camera",
         picture=png(cameras_figure(shown, truth, words)),
         alt=f"Camera path and point cloud {words.along_z} and obliquely",
         caption="Cameras as the pyramids of what they see, joined in the order of the photographs; the points are "
@@ -81,7 +84,7 @@ def draw_cameras(shown: Scene, truth: Truth | None, words: Wording) -> Drawn:
 
 
 def draw_attitude(run: RunContents) -> Drawn | None:
-    """Figure 6; None where neither measurement nor truth is known."""
+    """Roll, pitch and heading; None where neither measurement nor truth is known."""
     scene = run.shown
     if scene is None:
         return None
@@ -89,7 +92,7 @@ def draw_attitude(run: RunContents) -> Drawn | None:
     if not len(images) or all(angle.measured is None and angle.true is None for angle in angles):
         return None
     return Drawn(
-        title="Figure 6. Attitude of the cameras",
+        title="Attitude of the cameras",
         picture=svg(attitude_figure(images, angles, len(scene.views.names))),
         alt="Estimated, measured and true roll, pitch and heading of each image",
         caption=f"Roll and pitch: {words.dips}. {attitude_words(angles)}"
@@ -167,33 +170,55 @@ def draw_uncertainty(shown: Scene, truth: Truth | None, words: Wording) -> Drawn
 
 def draw_dense(folder: Path, words: Wording, own: Wording) -> list[Drawn]:
     """The pictures of a dense stage that lie in the folder, in the words of the frame of the truth and of its own."""
+    return _drawn(folder, {}, _dense_pictures(words, own))
+
+
+def draw_dense_beside(folder: Path, end: str, words: Wording) -> list[Drawn]:
+    """The pictures of several dense stages side by side that lie in the folder of a sweep, by what ends their names."""
+    _, view, error = (f"{kind}{end}" for kind in FIGURES)
+    names = {DENSE_VIEW: view, ERROR_MAP: error}
+    return _drawn(folder, names, [one for one in _dense_pictures(words, words) if one[0] in names])
+
+
+def _drawn(folder: Path, names: Mapping[str, str], pictures: Sequence[tuple[str, str, str, str]]) -> list[Drawn]:
+    """Those of the pictures that lie in the folder, some under other names."""
     found = []
-    for name, title, caption, look in _dense_pictures(words, own):
+    for name, title, caption, look in pictures:
         try:
-            shown = picture(folder / name, DENSE_WIDTH)
+            shown = picture(folder / names.get(name, name), DENSE_WIDTH)
         except OSError:
             continue
-        found.append(Drawn(title, shown, title, caption, look))
+        found.append(Drawn(title, shown, title, caption, look, kind_of(shown)))
     return found
+
+
+def kind_of(shown: Picture) -> str:
+    """Of a picture that lies in a file."""
+    return "wide" if shown.width > NARROW else "narrow"
 
 
 def _dense_pictures(words: Wording, own: Wording) -> tuple[tuple[str, str, str, str], ...]:
     """Files, titles, what they show and what to look for."""
     level = f"{words.line} and " if words.line else ""
     shore = "The shore should lie where the line of the water meets the surface; a" if words.kind == SURFACE else "A"
+    light = "the upper left" if words.is_wall else "the north-west"
     return (
-        ("dense_view.png", "The dense surface",
+        (SURFACE_VIEW, "The surface as it looks",
+         f"The dense points as small discs in their planes: in the colours of the photographs, and lit from {light}.",
+         "Edges and patterns should be sharp in the colours; grain or steps in the light that the scene does not have "
+         "are noise of matching."),
+        (DENSE_VIEW, "The dense surface",
          f"The dense points obliquely and from the side, coloured by {words.value}.",
          f"A clean sheet without a haze of points {words.above} or {words.below} it; holes are where the photographs "
          "show no texture."),
-        ("error_map.png", "Distance of the dense points from the true planes",
+        (ERROR_MAP, "Distance of the dense points from the true planes",
          f"{capital(words.along_z)} and from the side: red lies {words.below} the true plane, blue {words.above} it.",
          "Pale everywhere is good. A colour that changes slowly over the scene is a bend; speckle is noise of "
          "matching."),
         ("dsm.png", "Depth of the surface" if words.depth else "The surface as a map",
          f"The dense points as a map seen {own.along_z}, shaded as if lit from one side.",
          "Steps and ripples that the scene does not have come from the reconstruction."),
-        ("profiles.png", "Sections across the surface",
+        (PROFILES, "Sections across the surface",
          f"{capital(own.value)} over distance along three lines across the direction in which the surface is "
          f"longest, with {level}two standard deviations on either side.",
          f"{shore} bend that the {words.ground} does not have comes from a wrong index ratio or camera."),

@@ -6,12 +6,22 @@ from pathlib import Path
 from typing import Any
 
 from torchrefrac.figures.residuals import Residuals
-from torchrefrac.files.run import RunRecord
+from torchrefrac.files.run import REPORT, RunRecord
 from torchrefrac.html import drawn, words
 from torchrefrac.html.contents import RunContents, read_contents
 from torchrefrac.html.page import write_page
+from torchrefrac.html.scene_page import write_scene_page
 from torchrefrac.html.survey import compared_table, level_table, methods, order_table, survey_facts
-from torchrefrac.html.tables import REPORT, Entry, cameras, files_of, photograph_heads, photographs, table1, timings
+from torchrefrac.html.tables import (
+    Entry,
+    cameras,
+    file_link,
+    files_of,
+    photograph_columns,
+    photographs,
+    table1,
+    timings,
+)
 from torchrefrac.record.summary import dense_lines
 from torchrefrac.scene import Truth
 from torchrefrac.sweeps.design import MOST_PANELS
@@ -20,11 +30,12 @@ LOG, LOG_LINES = "run.log", 60
 
 
 def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
-    """Write `run`/report.html from what lies in the run folder, however far the run got; returns its path.
+    """Write `run`/report.html from what lies in the run folder, however far the run got; returns its path. Beside it,
+    where there are cameras, scene.html shows them and the points in three dimensions.
 
     compared: runs of the same photographs with other models, which stand beside it in Table 1 and Figure 1. The page
     needs no other file and no network; links to files of the run are relative. What cannot be read is left out, and the
-    page says so. Raises OSError where the page cannot be written.
+    page says so. Raises OSError where a page cannot be written.
     """
     truths: dict[Path, Truth | None] = {}
     contents = read_contents(run, truths)
@@ -33,6 +44,7 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
     others = [read_contents(other, truths, with_capture=False) for other in beside]
     residuals = Residuals.of(scene) if scene is not None and len(scene.observations) else None
     residuals = residuals if residuals is not None and len(residuals) else None
+    scene_page = write_scene_page(contents)
     write_page(
         "run.html",
         run / REPORT,
@@ -46,6 +58,7 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
         upright=words.upright(record),
         verdict=words.verdict(record, contents.unit),
         tiles=_tiles(contents),
+        scene_page=None if scene_page is None else file_link(scene_page),
         table=_table(contents, others) if record.is_complete else None,
         figures=_figures(contents, others, residuals),
         dense=drawn.draw_dense(run, contents.words, contents.own_words) if "dense_points" in record.metrics else [],
@@ -60,7 +73,7 @@ def write_report(run: Path, compared: Sequence[Path] = ()) -> Path:
         held=list((record.metrics.get("held") or {}).values()),
         cameras=cameras(contents),
         positions=words.positions(contents.capture, record),
-        heads=photograph_heads(contents),
+        columns=photograph_columns(contents),
         photographs=photographs(contents, residuals),
         timings=timings(record),
         total=words.seconds(record.number("seconds_total") or 0.0),

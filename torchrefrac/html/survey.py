@@ -66,7 +66,8 @@ def order_table(run: RunContents) -> Table | None:
         ]
         for order, share in known
     ]
-    return Table(["order of S-44", "a", "b", "of the bed's cells"], rows)
+    terms = (("a, b", "of the formula below"), ("of the bed's cells", "the share that is known as well as that"))
+    return Table(["order of S-44", "a", "b", "of the bed's cells"], rows, terms=terms)
 
 
 def compared_table(run: RunContents, kind: str) -> Table | None:
@@ -79,7 +80,11 @@ def compared_table(run: RunContents, kind: str) -> Table | None:
     rms = [run.record.number(f"{kind}_rms_{axes}_{unit}") for axes in ("xy", "z")]
     words = [rounded(value) if value is not None else "" for value in rms]
     cells.append([Cell("RMS"), Cell(f"xy {words[0]}"), Cell(""), Cell(words[1]), Cell(""), Cell("")])
-    return Table(["point", *(f"{name} ({unit})" for name in COMPARED), f"sigma x, y, z ({unit})"], cells)
+    terms = (
+        ("dx, dy, dz, distance", "where the reconstruction puts the point, less where it is stated to be"),
+        ("sigma", "standard deviations of where the reconstruction puts it"),
+    )
+    return Table(["point", *(f"{name} ({unit})" for name in COMPARED), f"sigma x, y, z ({unit})"], cells, terms=terms)
 
 
 def level_table(run: RunContents) -> Table | None:
@@ -91,7 +96,11 @@ def level_table(run: RunContents) -> Table | None:
         [Cell(each["source"]), Cell(with_sigma(each["height"], each["sigma"])), Cell(f"{each['weight_percent']:.3g} %")]
         for each in sources
     ]
-    return Table(["level of the water by", f"height ({run.unit})", "weight"], rows)
+    terms = (
+        ("height", "of the water, with its standard deviation"),
+        ("weight", "its share in the level that was used"),
+    )
+    return Table(["level of the water by", f"height ({run.unit})", "weight"], rows, terms=terms)
 
 
 def _off(value: float) -> str:

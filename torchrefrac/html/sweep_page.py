@@ -1,18 +1,20 @@
 """The report of a whole sweep, and those of its runs."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from torchrefrac.files.run import RunRecord
+from torchrefrac.files.run import REPORT, RunRecord
 from torchrefrac.html.contents import read_contents
-from torchrefrac.html.drawn import Drawn, draw_models
+from torchrefrac.html.drawn import Drawn, draw_dense_beside, draw_models, kind_of
 from torchrefrac.html.page import Picture, picture, write_page
 from torchrefrac.html.run_page import report_link, write_report
-from torchrefrac.html.tables import REPORT, Entry, Table, files_of, table1
+from torchrefrac.html.tables import Entry, Table, files_of, table1
 from torchrefrac.html.words import distinct, model_order, model_title, models_words, seconds
 from torchrefrac.recorder import Recorder
 from torchrefrac.scene import Truth
+from torchrefrac.scene.interfaces import SURFACE
+from torchrefrac.scene.wording import INTERFACE, wording
 from torchrefrac.sweeps.design import MOST_PANELS, load_runs, short_keys, shown_together, what_varied
 
 SUMMARY, SUMMARY_WIDTH = "summary.png", 1600
@@ -31,11 +33,12 @@ class Failed:
 
 @dataclass(frozen=True)
 class SceneSection:
-    """Complete jobs on the same photographs."""
+    """Complete jobs on the same photographs; number: of the figure, where there is one."""
 
     title: str
     table: Table
     figure: Drawn | None
+    number: int
 
 
 def write_job_reports(runs: Sequence[Path], recorder: Recorder) -> None:
@@ -50,12 +53,13 @@ def write_job_reports(runs: Sequence[Path], recorder: Recorder) -> None:
 def write_sweep_report(folder: Path, runs: Sequence[Path]) -> Path:
     """Write `folder`/report.html of the jobs `runs`, the failed ones first with their reasons; returns its path.
 
-    It holds summary.png where that lies in the folder, and Table 1 and Figure 1 of each scene, and links to the jobs'
-    own reports, which must be written before. Raises OSError where the page cannot be written.
+    It holds summary.png where that lies in the folder, the table and the side view of each scene, and links to the
+    jobs' own reports, which must be written before. Raises OSError where the page cannot be written.
     """
     jobs = load_runs(runs)
     short = short_keys(what_varied(jobs).keys)
-    sections = _sections([job for job in jobs if job.is_complete], short, folder)
+    summary = _summary(folder / SUMMARY)
+    sections = _sections([job for job in jobs if job.is_complete], short, folder, 1 if summary is None else 2)
     failed = [job for job in jobs if not job.is_complete]
     write_page(
         "sweep.html",
@@ -68,14 +72,18 @@ def write_sweep_report(folder: Path, runs: Sequence[Path]) -> Path:
             key: list(dict.fromkeys(job.overrides.get(key, DEFAULT) for job in jobs if job.overrides)) for key in short
         },
         failed=[Failed(job, _label(job, short) or job.folder.name, report_link(job, folder)) for job in failed],
-        summary=_summary(folder / SUMMARY),
+        summary=summary,
+        summary_kind="" if summary is None else kind_of(summary),
         sections=sections,
+        dense=_dense(jobs, folder),
+        drawn=(summary is not None) + sum(section.figure is not None for section in sections),
         files=[cell for cell in files_of(folder) if not cell.link.startswith("multirun")],
     )
     return folder / REPORT
 
 
-def _sections(jobs: Sequence[RunRecord], short: Mapping[str, str], folder: Path) -> list[SceneSection]:
+def _sections(jobs: Sequence[RunRecord], short: Mapping[str, str], folder: Path, first: int) -> list[SceneSection]:
+    """first: the number of the first figure."""
     groups: dict[str, list[RunRecord]] = {}
     for job in jobs:
         groups.setdefault(str(job.capture or job.scene), []).append(job)
@@ -92,7 +100,19 @@ def _sections(jobs: Sequence[RunRecord], short: Mapping[str, str], folder: Path)
         figure, truths = None, dict[Path, Truth | None]()
         if number < MOST_FIGURES and 2 <= len(ordered) <= MOST_PANELS:  # fewer have nothing beside them
             figure = draw_models([read_contents(job.folder, truths, with_capture=False) for job in ordered], labels)
-        found.append(SceneSection(title, table1(entries, unit), figure))
+        drawn = sum(section.figure is not None for section in found)
+        found.append(SceneSection(title, table1(entries, unit), figure, first + drawn))
+    return found
+
+
+def _dense(jobs: Sequence[RunRecord], folder: Path) -> list[Drawn]:
+    """Dense surfaces side by side, of each scene and combination of what else varied, as they lie in the folder."""
+    groups = shown_together(jobs, what_varied(jobs))
+    found = []
+    for end, (first, *_) in list(groups.items())[:MOST_FIGURES]:
+        drawn = draw_dense_beside(folder, end, wording(first.metrics.get(INTERFACE, SURFACE)))
+        of = end.removesuffix(".png").replace("_", " ")
+        found += [replace(one, title=f"{one.title}{f', {of.strip()}' if of else ''}") for one in drawn]
     return found
 
 

@@ -10,18 +10,22 @@ from torchrefrac.evaluate.metrics import camera_prefixes
 from torchrefrac.figures.residuals import Residuals
 from torchrefrac.figures.shift import off_nadir
 from torchrefrac.figures.uncertainty import true_errors
-from torchrefrac.files.run import RunRecord, is_number
+from torchrefrac.files.run import PAGES, RunRecord, is_number
 from torchrefrac.html.contents import RunContents
 from torchrefrac.html.page import thumbnail
 from torchrefrac.html.words import UNKNOWN, file_size, placed_words, rounded, seconds, with_sigma
 
+PLACED = ("placed", "photographs with a pose, of all of them")
+REPROJECTION = "distance between where a point is seen and where the reconstruction puts it, median"
 ERRORS = (
     ("camera error", "camera_rms", "RMS distance of the camera centres from the true ones, after aligning them"),
     ("3D error", "point_median", "distance of a point from what the cameras truly saw there, median"),
     ("flatness", "flatness", "how far the points of a true plane are from one plane, wherever that is"),
     ("off surface", "surface_median", "distance of a point from the true surface, median"),
 )
-REPORT = "report.html"
+
+
+AMOUNTS = (("points", "points", "tie points of the sparse model"), ("time", "seconds_total", "of the whole run"))
 
 
 @dataclass(frozen=True)
@@ -35,12 +39,17 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """Heads, and rows of cells; `marked` rows stand out; terms: heads with what they mean."""
+    """Heads, and rows of cells; `marked` rows stand out; terms: heads, without units, with what they mean."""
 
     heads: list[str]
     rows: list[list[Cell]]
     marked: tuple[int, ...] = ()
     terms: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def has_errors(self) -> bool:
+        """Whether any column compares runs with the truth."""
+        return not {name for name, *_ in ERRORS}.isdisjoint(name for name, _ in self.terms)
 
 
 @dataclass(frozen=True)
@@ -76,8 +85,12 @@ def table1(entries: Sequence[Entry], unit: str, marked: int | None = None, digit
         row.append(Cell(_index_ratio(entry.record)))
     heads = ["model", "placed", *(name for name, *_ in columns), "index ratio"]
     keys = {key for _, key, *_ in columns}
-    terms = tuple((name, words) for name, key, words in ERRORS if f"{key}_{unit}" in keys)
-    return Table(heads, rows, () if marked is None else (marked,), terms)
+    terms = [PLACED, *((name, words) for name, key, words in ERRORS if f"{key}_{unit}" in keys)]
+    if "reprojection_median_px" in keys:
+        terms.append(("reprojection", REPROJECTION))
+    terms += [(name, words) for name, key, words in AMOUNTS if key in keys]
+    terms.append(("index ratio", "of the water to the air, with its standard deviation where it was estimated"))
+    return Table(heads, rows, () if marked is None else (marked,), tuple(terms))
 
 
 def _index_ratio(record: RunRecord) -> str:
@@ -103,7 +116,12 @@ def cameras(contents: RunContents) -> Table | None:
         texts.append(_found(scene is not None, used, found, sigma))
         rows.append([Cell(text) for text in texts])
     heads = ["camera", "model", "size (px)", "photographs" if placed is None else "photographs placed"]
-    return Table([*heads, "focal length stated (px)", "found (px)"], rows)
+    terms = (
+        ("model", "of the distortion of the lens"),
+        ("focal length stated", "along x, with the standard deviation that the capture states"),
+        ("found", "the same after the adjustment, with its standard deviation"),
+    )
+    return Table([*heads, "focal length stated (px)", "found (px)"], rows, terms=terms)
 
 
 def _found(is_done: bool, used: int, focal: float | None, sigma: float | None) -> str:
@@ -117,7 +135,7 @@ def _found(is_done: bool, used: int, focal: float | None, sigma: float | None) -
 
 @dataclass(frozen=True)
 class Photograph:
-    """A row of the table of images; cells as the heads of `photograph_heads` say."""
+    """A row of the table of images; cells as `photograph_columns` says."""
 
     number: int
     name: str
@@ -127,14 +145,22 @@ class Photograph:
     cells: list[str]
 
 
-def photograph_heads(contents: RunContents) -> list[str]:
-    """What the cells of each placed photograph are."""
+def photograph_columns(contents: RunContents) -> Table:
+    """The heads of what the cells of each placed photograph are, and what they mean; without rows."""
     unit, scene, words = contents.unit, contents.shown, contents.words
-    heads = [f"{words.height} ({unit})", f"{words.off_axis} (°)", "observations", "median error (px)"]
-    heads.append("incidence, 5 to 95 % (°)")
+    columns = [
+        (words.height, unit, "of the camera centre"),
+        (words.off_axis, "°", "how far the optical axis is turned away from it"),
+        ("observations", "", "how many points are seen in it"),
+        ("median error", "px", "distance between where points are seen and where the reconstruction puts them"),
+        ("incidence, 5 to 95 %", "°", f"{words.incidence} of all rays but the flattest and the steepest"),
+    ]
     if scene is not None and scene.assessment.center_covariance is not None:
-        heads.append(f"centre known to ({unit})")
-    return heads + ([f"true error ({unit})"] if contents.truth is not None else [])
+        columns.append(("centre known to", unit, "standard deviation of a coordinate of the camera centre"))
+    if contents.truth is not None:
+        columns.append(("true error", unit, "distance of the camera centre from the true one, after aligning all"))
+    heads = [f"{name} ({of})" if of else name for name, of, _ in columns]
+    return Table(heads, [], terms=tuple((name, meaning) for name, _, meaning in columns))
 
 
 def photographs(contents: RunContents, residuals: Residuals | None) -> list[Photograph]:
@@ -209,4 +235,9 @@ def timings(record: RunRecord) -> list[Bar]:
 def files_of(folder: Path) -> list[Cell]:
     """Links to the files of a run, relative to its folder, with their sizes."""
     found = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
-    return [Cell(f"{path.name} ({file_size(path.stat().st_size)})", path.name) for path in found if path.name != REPORT]
+    return [file_link(path) for path in found if path.name not in PAGES]
+
+
+def file_link(path: Path) -> Cell:
+    """A link to a file of the folder in which the page lies, with its size."""
+    return Cell(f"{path.name} ({file_size(path.stat().st_size)})", path.name)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from torchrefrac.evaluate.dense_metrics import FOUND, TYPICAL
+from torchrefrac.evaluate.dense_metrics import FOUND, TYPICAL, without_outliers
 from torchrefrac.evaluate.survey_orders import ORDERS
 from torchrefrac.record.terminal import wrapped
 from torchrefrac.scene.interfaces import SURFACE
@@ -200,6 +200,5 @@ def dense_lines(metrics: Mapping[str, Any]) -> list[str]:
         line += f", {100.0 * complete:.1f} % of the textured surface has one within {FOUND:g} {unit}"
     plane_rms = metrics.get(f"dense_plane_rms_{unit}")
     if plane_rms is not None:
-        line += f", {plane_rms:.4f} {unit} RMS from its planes"
-        line += f" ({100.0 * metrics['dense_plane_inliers']:.0f} % inliers)"
+        line += f", {plane_rms:.4f} {unit} RMS from its planes{without_outliers(metrics)}"
     return [*lines, line]

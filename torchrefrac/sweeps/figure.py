@@ -27,6 +27,7 @@ WITHOUT_TRUTH = (
 )
 WIDEST = 4  # scenes side by side
 PANEL_WIDTHS, PANEL_HEIGHT = (5.6, 4.2, 3.6, 3.2), 2.3  # inches, by the number of columns
+FEW_DOTS, LOW_HEIGHT = 4, 1.5  # on an axis of names, and of a panel that has no more of them
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,9 @@ def draw_sweep(jobs: Sequence[RunRecord], design: Design, path: Path) -> bool:
     longest = max((len(handle.get_label()) for handle in handles), default=0)
     per_row = max(1, int((width + 0.7) / (0.45 + 0.065 * longest)))
     legend = 0.22 * math.ceil(len(handles) / per_row) + 0.5
-    figure = blank_figure(width + 0.7, blocks * (PANEL_HEIGHT * len(measures) + 0.4) + legend)
+    is_low = design.x is None and len(lines) <= FEW_DOTS
+    height = LOW_HEIGHT if is_low else PANEL_HEIGHT
+    figure = blank_figure(width + 0.7, blocks * (height * len(measures) + 0.4) + legend)
     grid = figure.subplots(blocks * len(measures), columns, squeeze=False)
     # A job of which nothing is known may belong anywhere: each line is broken where it lacks a place of the others.
     is_torn = design.x is not None and any(not (job.overrides or job.is_complete) for job in jobs)
@@ -87,7 +90,8 @@ def draw_sweep(jobs: Sequence[RunRecord], design: Design, path: Path) -> bool:
                 panel.tick_params(labelleft=False)
             else:
                 unit = f" ({cells[i].unit})" if measure.has_unit and cells[i].unit else ""
-                panel.set_ylabel(f"{measure.title}{unit}", fontsize=9)
+                title = measure.title.replace(", ", ",\n") if is_low else measure.title
+                panel.set_ylabel(f"{title}{unit}", fontsize=9)
             if row == 0:
                 panel.set_title(scenes[i], fontsize=11)
             set_places(panel, design, lines, is_last=row == len(measures) - 1)
