@@ -38,7 +38,7 @@ def _files(folder):
 
 def _results(folder):
     """Without the log and events, and what a process that is killed leaves behind."""
-    others = (".torchrefrac", "dense/parts/", "events/", "run.log")
+    others = (".torchrefrac", "dense/parts/", "work/", "events/", "run.log")
     return {name: content for name, content in _files(folder).items() if not name.startswith(others)}
 
 
