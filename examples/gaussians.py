@@ -32,7 +32,7 @@ from torchrefrac.files.photographs import read_color
 Model = Literal["refractive", "none"]
 UNSEEN = 3  # the photograph that is left out
 SMALLER = 4  # times that photographs are worked on
-TILE, MOST = 8, 80  # pixels across of what is drawn at once, and Gaussians that may appear in it
+TILE = 8  # pixels across of what is drawn at once
 SOFT = 0.3  # pixels squared, by which every Gaussian is wider than it is: a pixel's own size
 BRIGHT = 1.0 / 255.0
 HALF, COVERED = 0.5, 0.9  # of a pixel, from which on it is trained on, and is judged
@@ -136,7 +136,7 @@ class Gaussians(nn.Module):
         corner = TILE * torch.cartesian_prod(torch.arange(down), torch.arange(across)).flip(1).float()
         nearest = splats.at.detach()[None].clamp(corner[:, None], corner[:, None] + TILE)
         met = (nearest - splats.at.detach()).norm(dim=-1) < splats.radius
-        number = torch.where(met, torch.arange(len(splats.at)), len(splats.at)).sort(dim=1).values[:, :MOST]
+        number = torch.where(met, torch.arange(len(splats.at)), len(splats.at)).sort(dim=1).values[:, : int(met.sum(dim=1).max())]
         real, number = number < len(splats.at), number.clamp(max=len(splats.at) - 1)
         inside = torch.cartesian_prod(torch.arange(TILE), torch.arange(TILE)).flip(1) + 0.5
         off = (corner[:, None] + inside)[:, None] - splats.at[number][:, :, None]
