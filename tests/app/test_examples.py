@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 import torchrefrac
 
@@ -53,6 +54,49 @@ def test_the_water_is_learnt_from_images(example, monkeypatch, capsys):
     assert truth == (RATIO, 0.0)
     assert abs(learnt[0] - RATIO) < 0.002
     assert abs(learnt[1]) < 0.1
+
+
+def test_what_a_match_is_worth_is_learnt_through_the_adjustment():
+    example = _module("learn_match_weights")
+    generator = torch.Generator().manual_seed(1)
+
+    network = example.learn_weights("squared", 25, generator, triples=16)
+
+    batch = example.draw_problems(100, generator)
+    equal, _ = example.camera_errors(batch, batch.problems.weights, "squared")
+    learnt, _ = example.camera_errors(batch, example.weights_of(network, batch.features), "squared")
+    assert learnt.median() < 0.6 * equal.median()
+
+
+@pytest.mark.slow
+def test_learnt_weights_are_better_than_robust_losses_alone(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["learn_match_weights.py"])
+
+    _module("learn_match_weights").main()
+
+    median = {
+        words[0]: float(words[1].split()[0])
+        for line in capsys.readouterr().out.splitlines()
+        if " mm" in line and (words := line.split("  ", 1))
+    }
+    assert median["learnt weights, squared"] < 0.4 * median["equal weights, squared"]
+    assert median["learnt weights, cauchy"] < 0.95 * median["equal weights, cauchy"]
+
+
+def test_own_ransac_finds_the_second_camera():
+    example = _module("own_ransac")
+    folder = torchrefrac.embedded_scene("tank_small")
+    truth = torchrefrac.load_truth(folder)
+    true_pose = example.relative(truth.rotation[:2], truth.center[:2])
+    pair = example.matched(torchrefrac.load_capture(folder))
+
+    pose, agrees = example.ransac(pair, 200, 3.0, torch.Generator().manual_seed(0))
+
+    assert 0.8 < agrees.double().mean() < 0.95
+    found = example.adjusted(pair, pose, agrees)
+    rough, fine = ((each.center[1] - true_pose.center[1]).norm() for each in (pose, found))
+    assert rough < 20.0  # cm, of a baseline of 30 above verticals half a degree off
+    assert fine < 1.5
 
 
 def _reports(printed):
