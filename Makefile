@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 # See torchrefrac/launch.py: waiting OpenMP threads must not starve other processes.
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: demo test test-slow lint lint-tests docs bench bench-baseline clean
+.PHONY: demo test test-slow lint lint-tests docs examples bench bench-baseline clean
 
 demo: $(READY)
 	$(BIN)/torchrefrac -m scene=tank_small model=none,radial,refractive dense=patch out=outputs/demo
@@ -32,6 +32,10 @@ lint-tests: $(READY)
 # The documentation, into site/. What a page lacks, or links to and is not there, is an error (strict, in mkdocs.yml).
 docs: $(READY)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
+# The examples are run, and their pages and notebooks in docs/examples/ written again: some five minutes.
+examples: $(READY)
+	$(BIN)/python -m tools.pages
 
 # Needs an idle machine and half an hour; bench-baseline writes what it measures into tools/bench/baseline.json.
 bench: $(READY)

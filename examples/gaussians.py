@@ -136,7 +136,8 @@ class Gaussians(nn.Module):
         corner = TILE * torch.cartesian_prod(torch.arange(down), torch.arange(across)).flip(1).float()
         nearest = splats.at.detach()[None].clamp(corner[:, None], corner[:, None] + TILE)
         met = (nearest - splats.at.detach()).norm(dim=-1) < splats.radius
-        number = torch.where(met, torch.arange(len(splats.at)), len(splats.at)).sort(dim=1).values[:, : int(met.sum(dim=1).max())]
+        number = torch.where(met, torch.arange(len(splats.at)), len(splats.at)).sort(dim=1).values
+        number = number[:, : int(met.sum(dim=1).max())]
         real, number = number < len(splats.at), number.clamp(max=len(splats.at) - 1)
         inside = torch.cartesian_prod(torch.arange(TILE), torch.arange(TILE)).flip(1) + 0.5
         off = (corner[:, None] + inside)[:, None] - splats.at[number][:, :, None]

@@ -1,15 +1,17 @@
-"""Learn the refractive index of the water and the height of its surface from images, by photometric loss alone.
+"""Learn the water's refractive index, the height of its surface and the focal length, by photometric loss alone.
 
-    python examples/learn_water.py [--index-ratio 1.25] [--height 3.0] [--steps 60]
+    python examples/learn_water.py [--index-ratio 1.25] [--height 3.0] [--focal 1.0] [--steps 60]
 
 The embedded tank was photographed by eight cameras; their poses and the three textured boards in the water have been
-surveyed, but nobody knows the water. Start from a wrong guess: a pixel of one image is followed through the surface to
-the board it sees, and from there into the next image. Where index ratio and height are right, both show the same
-colour. The derivatives pass through both refractions; Adam does the rest, from blurred images to sharp ones.
+surveyed, but nobody knows the water, nor the lens exactly. Start from a wrong guess: a pixel of one image is followed
+through the surface to the board it sees, and from there into the next image. Where index ratio, height and focal length
+are right, both show the same colour. The derivatives pass through both refractions; Adam does the rest, from blurred
+images to sharp ones.
 """
 
 import argparse
 import json
+from dataclasses import replace
 
 import cv2
 import torch
@@ -21,28 +23,35 @@ import torchrefrac as tr
 from torchrefrac.files.library import embedded_scene
 
 BLURS = (12.0, 6.0, 3.0, 1.5)  # pixels
+LEARNT = ("index_ratio", "plane_height", "focal")
 PIXELS = 4000  # of each image a step
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Learn index ratio and water level from images.")
+    parser = argparse.ArgumentParser(description="Learn index ratio, water level and focal length from images.")
     parser.add_argument("--index-ratio", type=float, default=1.25, help="the guess to start from")
     parser.add_argument("--height", type=float, default=3.0, help="guess of the water level, cm above the true one")
+    parser.add_argument("--focal", type=float, default=1.0, help="guess of the focal length, %% above the true one")
     parser.add_argument("--steps", type=int, default=60, help="steps of Adam at each of the four blurs")
     arguments = parser.parse_args()
     images, cameras, boards, true_ratio = load()
     guess = tr.FlatInterface(arguments.index_ratio, plane=tr.Plane(offset=arguments.height))
-    camera = tr.RefractiveCamera(cameras.intrinsics, cameras.cam_from_world_rotation, cameras.center_in_world, guess)
-    model = tr.LearnableCamera(camera, learn=("index_ratio", "plane_height"))
+    lens = replace(cameras.intrinsics, focal=cameras.intrinsics.focal * (1.0 + arguments.focal / 100.0))
+    model = tr.LearnableCamera(replace(cameras, intrinsics=lens, interface=guess), learn=LEARNT)
     learn_water(model, images, boards, arguments.steps)
-    print(f"truth             index ratio {true_ratio:.4f}   water level {0.0:+.3f} cm")
+    focal = float(cameras.intrinsics.focal[0])
+    print(f"truth             focal length {focal:.2f} px   index ratio {true_ratio:.4f}   water level {0.0:+.3f} cm")
 
 
 def learn_water(model: tr.LearnableCamera, images: Tensor, boards: list[Tensor], steps: int) -> None:
     """Train `model` (M cameras) on images (M, C, H, W) of `boards`, printing what it has learnt at each blur."""
     generator = torch.Generator().manual_seed(0)
     optimizer = torch.optim.Adam(
-        [{"params": [model.index_ratio], "lr": 0.02}, {"params": [model.plane_height], "lr": 0.1}]
+        [
+            {"params": [model.index_ratio], "lr": 0.02},
+            {"params": [model.plane_height], "lr": 0.1},
+            {"params": [model.focal], "lr": 0.002},
+        ]
     )
     schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, gamma=0.05 ** (1.0 / (len(BLURS) * steps)))
     _report("guess", model)
@@ -101,9 +110,10 @@ def _blurred(images: Tensor, sigma: float) -> Tensor:
 
 def _report(stage: str, model: tr.LearnableCamera) -> None:
     with torch.no_grad():
-        interface = model.camera.interface
+        interface, focal = model.camera.interface, model.camera.intrinsics.focal
     level = torch.as_tensor(interface.plane.offset)
-    print(f"{stage:<17} index ratio {float(interface.index_like(level)):.4f}   water level {float(level):+.3f} cm")
+    water = f"index ratio {float(interface.index_like(level)):.4f}   water level {float(level):+.3f} cm"
+    print(f"{stage:<17} focal length {float(focal[0]):.2f} px   {water}")
 
 
 def load() -> tuple[Tensor, tr.RefractiveCamera, list[Tensor], float]:

@@ -36,25 +36,69 @@ def test_a_few_steps_move_the_guess_of_the_index_ratio_towards_the_truth(example
     monkeypatch.setattr(example, "PIXELS", 500)
     images, cameras, boards, _ = example.load()
     guess = torchrefrac.FlatInterface(1.25, plane=torchrefrac.Plane(offset=3.0))
-    model = torchrefrac.LearnableCamera(replace(cameras, interface=guess))
+    model = torchrefrac.LearnableCamera(replace(cameras, interface=guess), learn=example.LEARNT)
 
     example.learn_water(model, images, boards, steps=20)
 
     reports = _reports(capsys.readouterr().out)
-    assert reports[0] == (1.25, 3.0)
+    assert reports[0][:2] == (1.25, 3.0)
     assert abs(reports[-1][0] - RATIO) < 0.7 * abs(1.25 - RATIO)
 
 
 @pytest.mark.slow
-def test_the_water_is_learnt_from_images(example, monkeypatch, capsys):
+def test_water_and_focal_length_are_learnt_from_images(example, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["learn_water.py"])
 
     example.main()
 
     *_, learnt, truth = _reports(capsys.readouterr().out)
-    assert truth == (RATIO, 0.0)
+    assert truth[:2] == (RATIO, 0.0)
     assert abs(learnt[0] - RATIO) < 0.002
     assert abs(learnt[1]) < 0.1
+    assert abs(learnt[2] / truth[2] - 1.0) < 0.0005
+
+
+def test_what_a_match_is_worth_is_learnt_through_the_adjustment():
+    example = _module("learn_match_weights")
+    generator = torch.Generator().manual_seed(1)
+
+    network = example.learn_weights("squared", 25, generator, triples=16)
+
+    batch = example.draw_problems(100, generator)
+    equal, _ = example.camera_errors(batch, batch.problems.weights, "squared")
+    learnt, _ = example.camera_errors(batch, example.weights_of(network, batch.features), "squared")
+    assert learnt.median() < 0.6 * equal.median()
+
+
+@pytest.mark.slow
+def test_learnt_weights_are_better_than_robust_losses_alone(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["learn_match_weights.py"])
+
+    _module("learn_match_weights").main()
+
+    median = {
+        words[0]: float(words[1].split()[0])
+        for line in capsys.readouterr().out.splitlines()
+        if " mm" in line and (words := line.split("  ", 1))
+    }
+    assert median["learnt weights, squared"] < 0.4 * median["equal weights, squared"]
+    assert median["learnt weights, cauchy"] < 0.95 * median["equal weights, cauchy"]
+
+
+def test_own_ransac_finds_the_second_camera():
+    example = _module("own_ransac")
+    folder = torchrefrac.embedded_scene("tank_small")
+    truth = torchrefrac.load_truth(folder)
+    true_pose = example.relative(truth.rotation[:2], truth.center[:2])
+    pair = example.matched(torchrefrac.load_capture(folder))
+
+    pose, agrees = example.ransac(pair, 200, 3.0, torch.Generator().manual_seed(0))
+
+    assert 0.8 < agrees.double().mean() < 0.95
+    found = example.adjusted(pair, pose, agrees)
+    rough, fine = ((each.center[1] - true_pose.center[1]).norm() for each in (pose, found))
+    assert rough < 20.0  # cm, of a baseline of 30 above verticals half a degree off
+    assert fine < 1.5
 
 
 @torch.no_grad()
@@ -79,5 +123,5 @@ def test_a_gaussian_is_drawn_where_the_water_shows_it():
 
 
 def _reports(printed):
-    """Index ratio and water level of every line."""
-    return [(float(words[-5]), float(words[-2])) for words in map(str.split, printed.splitlines())]
+    """Index ratio, water level and focal length of every line."""
+    return [(float(words[-5]), float(words[-2]), float(words[-9])) for words in map(str.split, printed.splitlines())]
