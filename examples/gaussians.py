@@ -1,6 +1,6 @@
 """Gaussians seen through water: a splatting renderer in plain PyTorch, with refraction and without.
 
-    python examples/gaussians.py [--steps 120] [--count 5000] [--out gaussians.png]
+    python examples/gaussians.py [--steps 120] [--count 5000] [--out outputs/gaussians]
 
 The embedded tank is reconstructed twice, with its water and as if there were none. The dense points of each become
 Gaussians, flat discs on the surface, which are trained on seven of the eight photographs. A splatting renderer needs of
@@ -42,7 +42,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Gaussians seen through water.")
     parser.add_argument("--steps", type=int, default=120, help="photographs that are trained on, one after the other")
     parser.add_argument("--count", type=int, default=5000, help="Gaussians")
-    parser.add_argument("--out", type=Path, default=Path("gaussians.png"), help="picture of the unseen view")
+    parser.add_argument("--out", type=Path, default=Path("outputs/gaussians"), help="folder of a picture")
     arguments = parser.parse_args()
     capture = tr.load_capture(embedded_scene("tank_small"))
     photographs = load_photographs(capture)
@@ -61,8 +61,9 @@ def main() -> None:
         else:
             pictures.append(draw("reconstructed as if in air", model, cameras[UNSEEN], photographs[UNSEEN], found))
     strip = torch.cat(pictures, dim=1).clamp(0.0, 1.0).repeat_interleave(2, dim=0).repeat_interleave(2, dim=1)
-    cv2.imwrite(str(arguments.out), (255.0 * strip).round().byte().numpy())
-    print(f"{arguments.out}: the unseen photograph, and the three in this order")
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(arguments.out / "gaussians.png"), (255.0 * strip).round().byte().numpy())
+    print("In the picture: the unseen photograph, and the three in this order.")
 
 
 def draw(label: str, model: "Gaussians", camera: tr.RefractiveCamera, photograph: Tensor, found: str) -> Tensor:

@@ -122,6 +122,36 @@ def test_a_gaussian_is_drawn_where_the_water_shows_it():
     torch.testing.assert_close(picture[row, column], opacity.float() * color, rtol=1e-4, atol=0.0)
 
 
+def test_a_field_of_a_level_surface_is_seen_where_rays_meet_it(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    example = _module("radiance_field")
+    points = torch.cat((400.0 * torch.rand(100, 2) - 200.0, torch.full((100, 1), -50.0)), dim=1)
+    field = example.Field(points).eval()
+    direction = torch.nn.functional.normalize(torch.tensor([[0.0, 0.0, -1.0], [0.3, -0.2, -1.0]]), dim=1)
+    rays = example.Lines(torch.zeros(2, 3), direction, torch.zeros(2, 3))
+
+    color, end = field.rendered(rays, 0.3)
+
+    torch.testing.assert_close(end, direction * (-50.0 / direction[:, 2:]), rtol=0.0, atol=0.2)
+    torch.testing.assert_close(color, torch.full((2, 3), 0.5))
+
+
+@pytest.mark.slow
+def test_refraction_is_worth_decibels_to_a_radiance_field(monkeypatch, tmp_path, capsys):
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    monkeypatch.setattr(sys, "argv", ["radiance_field.py", "--out", str(tmp_path)])
+
+    _module("radiance_field").main()
+
+    _, *lines = capsys.readouterr().out.splitlines()
+    with_it, without, wrong = ([float(word) for word in line[24:].split()[::2]] for line in lines)
+    assert with_it[0] > without[0] + 1.5  # dB
+    assert with_it[0] > wrong[0] + 6.0
+    assert with_it[1] < 0.3  # cm, median of heights
+    assert min(without[1], wrong[1]) > 5.0
+    assert (tmp_path / "radiance_field.jpg").stat().st_size < 200_000
+
+
 def _reports(printed):
     """Index ratio, water level and focal length of every line."""
     return [(float(words[-5]), float(words[-2]), float(words[-9])) for words in map(str.split, printed.splitlines())]
