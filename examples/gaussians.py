@@ -189,13 +189,13 @@ def load_photographs(capture: tr.Capture) -> Tensor:
 
 def smaller(cameras: tr.RefractiveCamera) -> tr.RefractiveCamera:
     """Of photographs SMALLER times smaller."""
-    lens = cameras.intrinsics
+    intrinsics = cameras.intrinsics
     small = replace(
-        lens,
-        width=lens.width // SMALLER,
-        height=lens.height // SMALLER,
-        focal=lens.focal / SMALLER,
-        principal_point=lens.principal_point / SMALLER,
+        intrinsics,
+        width=intrinsics.width // SMALLER,
+        height=intrinsics.height // SMALLER,
+        focal=intrinsics.focal / SMALLER,
+        principal_point=intrinsics.principal_point / SMALLER,
     )
     return replace(cameras, intrinsics=small)
 

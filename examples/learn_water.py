@@ -3,7 +3,7 @@
     python examples/learn_water.py [--index-ratio 1.25] [--height 3.0] [--focal 1.0] [--steps 60]
 
 The embedded tank was photographed by eight cameras; their poses and the three textured boards in the water have been
-surveyed, but nobody knows the water, nor the lens exactly. Start from a wrong guess: a pixel of one image is followed
+surveyed, but nobody knows water or focal length exactly. Start from a wrong guess: a pixel of one image is followed
 through the surface to the board it sees, and from there into the next image. Where index ratio, height and focal length
 are right, both show the same colour. The derivatives pass through both refractions; Adam does the rest, from blurred
 images to sharp ones.
@@ -36,8 +36,8 @@ def main() -> None:
     arguments = parser.parse_args()
     images, cameras, boards, true_ratio = load()
     guess = tr.FlatInterface(arguments.index_ratio, plane=tr.Plane(offset=arguments.height))
-    lens = replace(cameras.intrinsics, focal=cameras.intrinsics.focal * (1.0 + arguments.focal / 100.0))
-    model = tr.LearnableCamera(replace(cameras, intrinsics=lens, interface=guess), learn=LEARNT)
+    intrinsics = replace(cameras.intrinsics, focal=cameras.intrinsics.focal * (1.0 + arguments.focal / 100.0))
+    model = tr.LearnableCamera(replace(cameras, intrinsics=intrinsics, interface=guess), learn=LEARNT)
     learn_water(model, images, boards, arguments.steps)
     focal = float(cameras.intrinsics.focal[0])
     print(f"truth             focal length {focal:.2f} px   index ratio {true_ratio:.4f}   water level {0.0:+.3f} cm")
