@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.tolerances import DTYPES, EXACT, assert_matches
-from torchrefrac.geometry import rotate, skew, so3_exp, so3_log
+from torchrefrac.geometry import nearest_rotation, rotate, skew, so3_exp, so3_log
 
 # Around the switch to the series at 1e-4, and up to half a turn.
 ANGLES = [0.0, 1e-15, 1e-8, 0.99e-4, 1.01e-4, 1e-2, 1.0, 3.0, math.pi - 1e-5, math.pi - 1e-9]
@@ -69,3 +69,23 @@ def test_the_derivative_of_exp_at_zero_is_the_generator():
     derivative = torch.autograd.functional.jacobian(so3_exp, torch.zeros(3, dtype=torch.float64))
 
     assert_matches(derivative.movedim(-1, 0), skew(torch.eye(3, dtype=torch.float64)))
+
+
+def test_the_nearest_rotation_is_the_one_that_a_search_cannot_improve(draw):
+    matrix = draw.rotations(20) + 0.3 * draw.normal(20, 3, 3)
+    matrix[::4] = matrix[::4] @ torch.diag(torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64))  # reflections, too
+
+    nearest = nearest_rotation(matrix)
+
+    torch.testing.assert_close(nearest @ nearest.mT, torch.eye(3, dtype=torch.float64).expand(20, 3, 3))
+    assert (torch.linalg.det(nearest) > 0.0).all()
+    off = (nearest - matrix).square().sum(dim=(1, 2))
+    for size in (2.0, 0.3, 0.01):
+        other = so3_exp(size * draw.normal(500, 1, 3)) @ nearest
+        assert ((other - matrix).square().sum(dim=(2, 3)) >= off - 1e-12).all()
+
+
+def test_a_rotation_is_its_own_nearest(draw):
+    rotation = draw.rotations(5)
+
+    torch.testing.assert_close(nearest_rotation(rotation), rotation)

@@ -85,11 +85,11 @@ def _check_connected(scene: Scene, fixed: Bool[Tensor, "m 6"] | None, located: B
     sizes = sorted(parts, key=len, reverse=True)
     whole = np.zeros(m, dtype=bool) if fixed is None else fixed.all(dim=-1).cpu().numpy()
     placed = np.zeros(m, dtype=bool) if located is None else located.cpu().numpy()
-    held = placed[sizes[0]].sum() >= LOCATED
+    is_located = placed[sizes[0]].sum() >= LOCATED
     apart = [
         part
         for part in sizes[1:]
-        if len(part) and not whole[part].all() and not (held and placed[part].sum() >= LOCATED)
+        if len(part) and not whole[part].all() and not (is_located and placed[part].sum() >= LOCATED)
     ]
     if apart:
         names = scene.views.names

@@ -26,7 +26,7 @@ from torchrefrac.dense.store import NoStore, Store
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import DenseCloud, DepthMap, Scene
 
-AT_ONCE = 1 << 16  # patches whose rays are cast
+AT_ONCE = 1 << 16  # patches that are copied, or whose rays are cast
 
 
 class DenseError(TorchrefracError, RuntimeError):

@@ -1,7 +1,6 @@
 """Descriptor matching: mutual nearest neighbours that pass Lowe's ratio test."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import torch
@@ -9,9 +8,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchrefrac.checks import Range, require_ranges
-from torchrefrac.features.networks import require_file
+from torchrefrac.features.networks import content_of, require_file
 from torchrefrac.features.rough_products import Nearest, RoughDescriptors, nearest_of
-from torchrefrac.files.fingerprint import fingerprint_of_file
 
 AT_ONCE = 1 << 24
 """Products that are looked for exactly at a time."""
@@ -52,7 +50,7 @@ class MatchOptions:
     @property
     def made_from(self) -> tuple[str, ...]:
         """What is in the file of weights, as a fingerprint."""
-        return () if self.weights is None else (fingerprint_of_file(Path(self.weights)),)
+        return content_of(self.weights)
 
 
 def match(

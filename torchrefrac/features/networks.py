@@ -73,7 +73,12 @@ class NetworkOptions:
     @property
     def made_from(self) -> tuple[str, ...]:
         """What is in the files that the options name, as a fingerprint."""
-        return () if self.weights is None else (fingerprint_of_file(Path(self.weights)),)
+        return content_of(self.weights)
+
+
+def content_of(weights: str | None) -> tuple[str, ...]:
+    """A fingerprint of a file of weights; nothing where kornia downloads them."""
+    return () if weights is None else (fingerprint_of_file(Path(weights)),)
 
 
 def require_file(weights: str | None) -> None:

@@ -84,9 +84,9 @@ def _read(
 
 
 def _inside(pixels: Float[np.ndarray, "k 2"], size: tuple[int, int], where: str) -> Float[Tensor, "k 2"]:
-    if len(pixels) and not ((pixels >= -OUTSIDE) & (pixels <= np.array(size) + OUTSIDE)).all():
-        bad = ~((pixels >= -OUTSIDE) & (pixels <= np.array(size) + OUTSIDE)).all(axis=1)
-        x, y = pixels[bad][0]
+    outside = ~((pixels >= -OUTSIDE) & (pixels <= np.array(size) + OUTSIDE)).all(axis=1)
+    if outside.any():
+        x, y = pixels[outside][0]
         raise CaptureError(
             f"{where} lies at ({x:g}, {y:g}), outside an image of {size[0]}x{size[1]} pixels; were they found in "
             "photographs of another size?"

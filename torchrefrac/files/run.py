@@ -22,16 +22,8 @@ DENSE_LAZ, POINTS_LAZ, CONTOURS = "dense.laz", "points.laz", "contours.geojson"
 RASTERS = {name: f"{name}.tif" for name in ("dsm", "depth", "sigma", "views", "hillshade", "orthophoto")}
 FOR_SURVEYS = (DENSE_LAZ, POINTS_LAZ, CONTOURS, *RASTERS.values())
 DENSE_RESULTS = (
-    DENSE_CLOUD,
-    "mesh.ply",
-    "dsm.npz",
-    "dsm.png",
-    *FOR_SURVEYS,
-    PROFILES,
-    DENSE_VIEW,
-    SURFACE_VIEW,
-    ERROR_MAP,
-)
+    DENSE_CLOUD, "mesh.ply", "dsm.npz", "dsm.png", *FOR_SURVEYS, PROFILES, DENSE_VIEW, SURFACE_VIEW, ERROR_MAP,
+)  # fmt: skip
 DEPTH_MAPS = "dense"  # the folder of the depth maps
 PARTS = f"{DEPTH_MAPS}/parts"  # of what is finished while the stage is not
 WORK = "work"  # the same of stages before it

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrefrac.geometry.alignment import Similarity
 from torchrefrac.geometry.gravity import heading_rotation
 from torchrefrac.geometry.rigid import Rigid
-from torchrefrac.geometry.rotation import so3_log
+from torchrefrac.geometry.rotation import nearest_rotation, so3_log
 from torchrefrac.numerics import thin
 
 TRIED = 2000
@@ -68,10 +68,7 @@ def _aligned(
     if freedom is Freedom.LEVEL:
         rotation = heading_rotation(torch.atan2(axes[:, 1, 0] - axes[:, 0, 1], axes[:, 0, 0] + axes[:, 1, 1]))
     else:
-        u, _, vt = torch.linalg.svd(axes)
-        sign = torch.ones_like(axes[:, 0])
-        sign[:, 2] = torch.linalg.det(u @ vt).sign()
-        rotation = (u * sign[:, None]) @ vt
+        rotation = nearest_rotation(axes)
     turned = torch.einsum("hij,nj->hni", rotation, in_a.center)
     share = weight / weight.sum(dim=1, keepdim=True)
     middles = [(share[..., None] * center).sum(dim=1) for center in (turned, in_b.center)]

@@ -21,6 +21,15 @@ def rotate(rotation: Float[Tensor, "*#batch 3 3"], v: Float[Tensor, "*#batch 3"]
     return rotation[..., 0] * x + rotation[..., 1] * y + rotation[..., 2] * z
 
 
+def nearest_rotation(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """The rotations that differ least from matrices by the sum of squares (Schönemann, "A generalized solution of the
+    orthogonal Procrustes problem", 1966; with the sign of Kabsch, 1978): the mean of rotations from their sum."""
+    u, _, vt = torch.linalg.svd(matrix)
+    last = torch.linalg.det(u @ vt).sign()
+    sign = torch.stack((torch.ones_like(last), torch.ones_like(last), last), dim=-1)
+    return (u * sign[..., None, :]) @ vt
+
+
 def so3_exp(omega: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Rotation by |omega| radians about omega (Rodrigues), smooth at zero."""
     angle_sq = omega.square().sum(dim=-1)

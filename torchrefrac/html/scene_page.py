@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float, Shaped, UInt8
+from jaxtyping import Bool, Float, Shaped, UInt8
 from torch import Tensor
 
 from torchrefrac.figures.cameras import pyramids
@@ -56,12 +56,13 @@ def write_scene_page(run: RunContents) -> Path | None:
     cameras = scene.views.num_registered
     points = _points(run.record.folder, scene, int((MOST_BYTES - PAGE_BYTES - CAMERA_BYTES * cameras) / POINT_BYTES))
     frame = _frame(words)
-    seen, corners = points.position @ frame.mT, _cameras(scene) @ frame.mT
+    pyramid = _cameras(scene)
+    seen, corners = points.position @ frame.mT, pyramid @ frame.mT
     low, high = _box(torch.cat((seen, corners[:, 0])))
     middle = 0.5 * (low + high)
     start, end = _box(seen) if len(seen) else (low, high)
     extent = (end - start).clamp(min=1e-9)
-    surfaces = _surfaces(scene.interfaces, torch.cat((points.position, _cameras(scene)[:, 0]))) @ frame.mT - middle
+    surfaces = _surfaces(scene.interfaces, torch.cat((points.position, pyramid[:, 0]))) @ frame.mT - middle
     shown = f"{counted(cameras)} {'camera' if cameras == 1 else 'cameras'} and {_counted(points)}"
     scales = _scales(points, seen, middle, words, scene.length_unit)
     write_page(
@@ -109,8 +110,7 @@ def _points(folder: Path, scene: Scene, most: int) -> Points:
         points = Points(DENSE, len(file), cloud.points, cloud.colors, cloud.sigma)
     if not len(points.position):
         return points
-    low, high = _box(points.position)
-    near = ((points.position >= low) & (points.position <= high)).all(dim=-1)
+    near = _near(points.position)
     return points._replace(
         position=points.position[near],
         colors=points.colors[near],
@@ -130,6 +130,12 @@ def _box(points: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, " 3"], Float[Tenso
     low, high = points.quantile(ends, dim=0)
     margin = (high - low).max()
     return points.amin(dim=0).maximum(low - margin), points.amax(dim=0).minimum(high + margin)
+
+
+def _near(points: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
+    """Those that are not stray."""
+    low, high = _box(points)
+    return ((points >= low) & (points <= high)).all(dim=-1)
 
 
 def _frame(words: Wording) -> Float[Tensor, "3 3"]:
@@ -154,9 +160,7 @@ def _surfaces(interfaces: Interfaces, around: Float[Tensor, "n 3"]) -> Float[Ten
     away = around.new_tensor((0.0, 1.0, 0.0)) - normal[:, 1:2] * normal
     up = away / away.norm(dim=-1, keepdim=True)
     axes = torch.stack((torch.linalg.cross(up, normal), up), dim=1)
-    low, high = _box(around)
-    inside = around[((around >= low) & (around <= high)).all(dim=-1)]
-    across = torch.einsum("kij,nj->kni", axes, inside)
+    across = torch.einsum("kij,nj->kni", axes, around[_near(around)])
     start, end = across.amin(dim=1), across.amax(dim=1)
     share = around.new_tensor(((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)))
     corners = start[:, None] + share * (end - start)[:, None]

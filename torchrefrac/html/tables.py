@@ -23,8 +23,6 @@ ERRORS = (
     ("flatness", "flatness", "how far the points of a true plane are from one plane, wherever that is"),
     ("off surface", "surface_median", "distance of a point from the true surface, median"),
 )
-
-
 AMOUNTS = (("points", "points", "tie points of the sparse model"), ("time", "seconds_total", "of the whole run"))
 
 

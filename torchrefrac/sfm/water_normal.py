@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchrefrac.bundle import UnadjustableError
-from torchrefrac.geometry import Similarity
+from torchrefrac.geometry import Similarity, nearest_rotation
 from torchrefrac.numerics import components, thin
 from torchrefrac.recorder import Recorder, SilentRecorder
 from torchrefrac.scene import Interfaces, Scene, Survey
@@ -90,8 +90,8 @@ def candidate_normals(scene: Scene) -> Float[Tensor, "k 3"]:
 def _in_frame_of(given: Scene, adjusted: Scene) -> Interfaces:
     """The surfaces of an adjusted scene to the cameras as they were given: nothing fixes where all of them go."""
     before, after = given.views, adjusted.views
-    u, _, vt = torch.linalg.svd((before.rotation.mT @ after.rotation).mean(dim=0))
-    turn, middle, goal = u @ vt, after.center.mean(dim=0), before.center.mean(dim=0)
+    turn = nearest_rotation((before.rotation.mT @ after.rotation).mean(dim=0))
+    middle, goal = after.center.mean(dim=0), before.center.mean(dim=0)
     a, b = (after.center - middle) @ turn.mT, before.center - goal
     scale = (a * b).sum() / a.square().sum()
     return moved(adjusted, Similarity(scale, turn, goal - scale * (turn @ middle))).interfaces

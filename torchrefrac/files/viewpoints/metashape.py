@@ -18,7 +18,7 @@ from torchrefrac.camera import Intrinsics
 from torchrefrac.files.fields import MEGABYTE, MOST_MEGABYTES_OF_A_SCENE
 from torchrefrac.files.plausible import implausible
 from torchrefrac.files.systems import horizontal_part
-from torchrefrac.geometry import Similarity
+from torchrefrac.geometry import Similarity, nearest_rotation
 from torchrefrac.scene import Cameras, SceneError, Viewpoints, field_of_view
 
 LOCAL = ("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")
@@ -146,10 +146,9 @@ def _on_map(found: Viewpoints, reference: str, crs: str | None, path: Path) -> V
     assert axes is not None
     center = _moved(onto, found.center)
     steps = torch.stack([_moved(onto, found.center + STEP * axes[:, i]) - center for i in range(3)], dim=1)
-    u, _, vt = torch.linalg.svd(steps)
     if not bool(center.isfinite().all()):
         raise SceneError(f"{path} has cameras that do not lie on the map {crs or reference}")
-    return Viewpoints(found.names, center, u @ vt, found.field, target.to_wkt())
+    return Viewpoints(found.names, center, nearest_rotation(steps), found.field, target.to_wkt())
 
 
 def _moved(onto: Any, points: Float[Tensor, "m 3"]) -> Float[Tensor, "m 3"]:
